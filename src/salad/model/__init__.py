@@ -1,0 +1,1 @@
+"""The model: photo -> tokens -> plan -> descriptor."""

@@ -1,0 +1,58 @@
+"""SALAD: tokens shared among clusters by optimal transport, summed per cluster.
+
+Source: Izquierdo and Civera, "Optimal Transport Aggregation for Visual Place Recognition", CVPR 2024.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from salad.config import SaladConfig
+from salad.model.tokens import Tokens
+from salad.model.transport import share
+
+
+class Salad(nn.Module):
+    """The aggregator of the paper.
+
+    A descriptor is [scene | clusters]: number g + k * m + j is feature k of cluster j. Published weights, PCAs
+    and indexes depend on that order.
+    """
+
+    def __init__(self, config: SaladConfig) -> None:
+        super().__init__()
+        self.config, self.dim = config, config.dim
+        d, hidden = config.width, config.hidden
+        self.score = _perceptron(d, hidden, config.clusters, dropout=config.dropout)
+        self.feature = _perceptron(d, hidden, config.cluster_dim, dropout=config.dropout)
+        self.scene = nn.Sequential(nn.Linear(d, hidden), nn.ReLU(), nn.Linear(hidden, config.scene_dim))
+        self.dustbin = nn.Parameter(torch.tensor(1.0))
+        pooled = config.scene_dim + config.clusters * config.cluster_dim
+        self.linear = nn.Linear(pooled, config.linear) if config.linear else None
+
+    def forward(self, tokens: Tokens) -> Float[Tensor, "batch dim"]:
+        """Describe each photo of the batch by one vector of length 1."""
+        plan = self.plan(tokens)[:, :-1]  # what went to the dustbin is forgotten
+        features = self.feature(tokens.patches)
+        clusters = torch.einsum("bnl,bmn->blm", features, plan.to(features.dtype))
+        parts = F.normalize(self.scene(tokens.scene), dim=1), F.normalize(clusters, dim=1).flatten(1)
+        descriptor = torch.cat(parts, dim=1)
+        if self.linear is not None:  # MegaLoc's last layer takes a vector of length 1 too
+            descriptor = self.linear(F.normalize(descriptor, dim=1))
+        return F.normalize(descriptor, dim=1)
+
+    def plan(self, tokens: Tokens) -> Float[Tensor, "batch m_and_dustbin n"]:
+        """How much of every token each cluster takes; the last row is the dustbin's.
+
+        Raises:
+            TooFewTokensError: the photos give no more tokens than there are clusters.
+        """
+        scores = self.score(tokens.patches).transpose(1, 2)
+        return share(scores, self.dustbin, stride=tokens.stride)
+
+
+def _perceptron(inside: int, hidden: int, out: int, *, dropout: float) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inside, hidden), nn.Dropout(dropout), nn.ReLU(), nn.Linear(hidden, out))
