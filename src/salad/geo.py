@@ -1,0 +1,167 @@
+"""Where things are: points on the earth, metres between them, UTM with its zone.
+
+Distances are great circles on a sphere of the mean radius. Against the true ellipsoid they are at most
+0.56 % off (14 cm in 25 m), which no photo's position is good enough to notice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import utm  # type: ignore[import-untyped]  # it ships no types
+from numpy.typing import ArrayLike, NDArray
+from utm.error import OutOfRangeError  # type: ignore[import-untyped]
+
+from salad.errors import PositionError
+
+EARTH_RADIUS_M = 6_371_008.8
+"""Mean radius of the earth in metres (IUGG, R1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class GeoPoint:
+    """A point on the earth in degrees of WGS84: `lat` -90 to 90, `lon` -180 to 180.
+
+    Raises:
+        PositionError: where a value is not a number or out of range.
+    """
+
+    lat: float
+    lon: float
+
+    def __post_init__(self) -> None:
+        if not -90 <= self.lat <= 90:
+            raise PositionError(
+                f"latitude {self.lat} is not between -90 and 90: check the order and the sign"
+            )
+        if not -180 <= self.lon <= 180:
+            raise PositionError(
+                f"longitude {self.lon} is not between -180 and 180: check the order and the sign"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Utm:
+    """A point on the UTM grid (WGS84): metres east and north within a zone (1 to 60) and a band (C to X)."""
+
+    easting: float
+    northing: float
+    zone: int
+    letter: str
+
+
+def metres_between(a: GeoPoint, b: GeoPoint) -> float:
+    """Metres from `a` to `b` along a great circle."""
+    return float(metres(a.lat, a.lon, b.lat, b.lon))
+
+
+def metres(lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike) -> NDArray[np.float64]:
+    """Metres between points given in degrees, element by element; shapes broadcast as in numpy.
+
+    The haversine formula (Sinnott 1984), which keeps its precision for points a few metres apart.
+    """
+    north1, east1, north2, east2 = (
+        np.radians(np.asarray(v, dtype=np.float64)) for v in (lat1, lon1, lat2, lon2)
+    )
+    half_north, half_east = (north2 - north1) / 2, (east2 - east1) / 2
+    chord = np.sin(half_north) ** 2 + np.cos(north1) * np.cos(north2) * np.sin(half_east) ** 2
+    apart: NDArray[np.float64] = 2 * EARTH_RADIUS_M * np.arcsin(np.sqrt(np.clip(chord, 0, 1)))
+    return apart
+
+
+def from_utm(utm_point: Utm) -> GeoPoint:
+    """The point on the earth that a UTM coordinate names.
+
+    Raises:
+        PositionError: where the zone, the letter or the metres lie outside the grid.
+    """
+    try:
+        lat, lon = utm.to_latlon(utm_point.easting, utm_point.northing, utm_point.zone, utm_point.letter)
+    except (OutOfRangeError, ValueError) as error:
+        raise PositionError(f"{utm_point} is not on the UTM grid: {error}") from error
+    return GeoPoint(float(lat), float(lon))
+
+
+def to_utm(point: GeoPoint) -> Utm:
+    """The UTM coordinate of a point, in the zone it lies in (with Norway's and Svalbard's exceptions).
+
+    Raises:
+        PositionError: beyond 84 degrees north or 80 degrees south, where UTM ends.
+    """
+    try:
+        easting, northing, zone, letter = utm.from_latlon(point.lat, point.lon)
+    except OutOfRangeError as error:
+        raise PositionError(f"{point} has no UTM coordinate: {error}") from error
+    # A hair south of the equator counts as north of it there, with a northing just below 0.
+    return Utm(float(easting), max(float(northing), 0.0), int(zone), str(letter))
+
+
+def shifted(point: GeoPoint, north_m: float, east_m: float) -> GeoPoint:
+    """The point that many metres north and east of `point`, measured on its tangent plane.
+
+    It lies exactly `hypot(north_m, east_m)` metres away along the great circle that leaves in that direction,
+    so it is right near the poles and across the date line too.
+    """
+    bearing = math.atan2(east_m, north_m)
+    arc = math.hypot(north_m, east_m) / EARTH_RADIUS_M
+    lat, lon = math.radians(point.lat), math.radians(point.lon)
+    up = math.sin(lat) * math.cos(arc) + math.cos(lat) * math.sin(arc) * math.cos(bearing)
+    ahead = math.cos(lat) * math.cos(arc) - math.sin(lat) * math.sin(arc) * math.cos(bearing)
+    aside = math.sin(arc) * math.sin(bearing)
+    turned = math.degrees(lon + math.atan2(aside, ahead))
+    return GeoPoint(math.degrees(math.atan2(up, math.hypot(ahead, aside))), _wrapped(turned))
+
+
+def _wrapped(lon: float) -> float:
+    """The same longitude between -180 and 180; one that is already there stays as it is."""
+    return lon if -180 <= lon <= 180 else (lon + 180) % 360 - 180
+
+
+def centre(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -> GeoPoint:
+    """The weighted mean of points on the sphere, right across the date line and at the poles.
+
+    Args:
+        points: at least one.
+        weights: one a point, none negative, not all zero; equal where not given.
+
+    Raises:
+        PositionError: where there is no point, the weights do not fit, or the points cancel out (antipodes).
+    """
+    shares = _shares(points, weights)
+    lat, lon = np.radians([[p.lat for p in points], [p.lon for p in points]])
+    units = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    x, y, z = (float(v) for v in units @ shares)
+    if math.hypot(x, y, z) < 1e-9:
+        raise PositionError(f"{len(points)} points lie evenly around the earth and have no centre: use fewer")
+    return GeoPoint(math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x)))
+
+
+def spread(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -> float:
+    """How far points scatter: the weighted root mean square of their distances in metres to their centre.
+
+    Raises:
+        PositionError: as `centre` does.
+    """
+    middle = centre(points, weights)
+    apart = metres([p.lat for p in points], [p.lon for p in points], middle.lat, middle.lon)
+    return math.sqrt(float(_shares(points, weights) @ apart**2))
+
+
+def _shares(points: Sequence[GeoPoint], weights: Sequence[float] | None) -> NDArray[np.float64]:
+    """Weights that sum to one, `[len(points)]`."""
+    if not points:
+        raise PositionError("no points are given, so there is no centre: give at least one")
+    given = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if given.shape != (len(points),):
+        raise PositionError(f"{given.size} weights do not fit {len(points)} points: give one a point")
+    largest = given.max()
+    if not np.isfinite(given).all() or (given < 0).any() or largest == 0:
+        raise PositionError(
+            "weights of points must be finite, none negative and not all zero: check the scores"
+        )
+    scaled = given / largest  # first, so that huge weights do not overflow in the sum
+    shares: NDArray[np.float64] = scaled / scaled.sum()
+    return shares

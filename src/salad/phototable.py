@@ -1,0 +1,179 @@
+"""Positions of photos from a table: a CSV file with the columns `path,lat,lon[,heading,time]`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import unicodedata
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from salad.errors import PositionError
+from salad.geo import GeoPoint
+from salad.geotags import Position
+
+_NEEDED = ("path", "lat", "lon")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table: its number in the file, the path as written, what it says."""
+
+    line: int
+    path: str
+    position: Position
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoTable:
+    """Positions by photo.
+
+    A row means the photo at its path, seen from the table's folder. Where no photo stands there, it means one
+    whose path ends in the row's (a bare name is the shortest such end), so that a table may be kept apart
+    from its photos, and yet `references/0001.jpg` never speaks for `queries/0001.jpg`.
+    """
+
+    path: Path
+    rows: tuple[Row, ...]
+    _by_place: dict[str, Row]
+    _by_end: dict[str, Row]
+
+    @classmethod
+    def read(cls, path: str | Path) -> PhotoTable:
+        """Read a CSV table: UTF-8 (with or without a mark), commas, a header; more columns do no harm.
+
+        Raises:
+            PositionError: where the file or a column is missing, a row makes no sense (named by its line), or
+                a photo has two rows.
+        """
+        path = Path(path)
+        rows = _read_rows(path)
+        by_place: dict[str, Row] = {}
+        by_end: dict[str, Row] = {}
+        for row in rows:
+            place = _key(path.parent / row.path)
+            if (first := by_place.setdefault(place, row)) is not row:
+                raise PositionError(
+                    f"{path}, line {row.line}: {row.path!r} has a row already, line {first.line}: keep one"
+                )
+            # A row whose photo is where it says speaks for that photo only.
+            if not os.path.isabs(row.path) and not os.path.exists(place):  # noqa: PTH110, PTH117
+                by_end[_spelled(os.path.normpath(row.path))] = row
+        return cls(path, tuple(rows), by_place, by_end)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def get(self, photo: str | Path) -> Position | None:
+        """What the table says of a photo, or None where it has no row."""
+        row = self._row(photo)
+        return None if row is None else row.position
+
+    def check_used(self, photos: Iterable[str | Path]) -> None:
+        """Make sure that each row names exactly one of `photos`, for tables that should fit them.
+
+        Raises:
+            PositionError: naming the first line that names none of them or two.
+        """
+        taken: dict[int, str | Path] = {}
+        for photo in photos:
+            row = self._row(photo)
+            if row is None:
+                continue
+            other = taken.setdefault(row.line, photo)
+            if _key(Path(other)) != _key(Path(photo)):
+                raise PositionError(
+                    f"{self.path}, line {row.line}: {row.path!r} fits two photos, {other} and {photo}: "
+                    f"write enough of the path to tell them apart"
+                )
+        for row in self.rows:
+            if row.line not in taken:
+                raise PositionError(
+                    f"{self.path}, line {row.line}: no photo fits {row.path!r}: correct the row or drop it"
+                )
+
+    def _row(self, photo: str | Path) -> Row | None:
+        key = _key(Path(photo))
+        if (row := self._by_place.get(key)) is not None:
+            return row
+        parts = Path(key).parts[1:]
+        ends = (str(Path(*parts[start:])) for start in range(len(parts)))
+        return next((self._by_end[end] for end in ends if end in self._by_end), None)
+
+
+def _key(path: Path) -> str:
+    return _spelled(os.path.abspath(path))  # noqa: PTH100  # resolve() would follow links, a photo keeps its own name
+
+
+def _spelled(path: str) -> str:
+    """One spelling for accented names: some file systems take letters and accents apart."""
+    return unicodedata.normalize("NFC", path)
+
+
+def _read_rows(path: Path) -> list[Row]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, strict=True, restval="")
+            reader.fieldnames = _header(path, reader.fieldnames or [])
+            return [_row(path, reader.line_num, fields) for fields in reader]
+    except OSError as error:
+        raise PositionError(
+            f"the table {path} cannot be read ({error.strerror}): check the name and who may read it"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise PositionError(
+            f"the table {path} is not UTF-8 text ({error.reason}): save it as CSV in UTF-8"
+        ) from error
+    except csv.Error as error:
+        raise PositionError(f"the table {path} is not CSV ({error}): save it as CSV with commas") from error
+
+
+def _header(path: Path, names: Iterable[str]) -> list[str]:
+    header = [name.strip().lower() for name in names]
+    for needed in _NEEDED:
+        if header.count(needed) != 1:
+            found = ", ".join(header) or "none"
+            raise PositionError(
+                f"the table {path} needs one column {needed!r}, but its columns are {found}: "
+                f"write path,lat,lon[,heading,time] in the first line, with commas"
+            )
+    return header
+
+
+def _row(path: Path, line: int, fields: dict[str, str]) -> Row:
+    try:
+        name = _name(fields)
+        where = GeoPoint(_number(fields, "lat"), _number(fields, "lon"))
+        heading = _number(fields, "heading") % 360 if fields.get("heading", "").strip() else None
+        return Row(line, name, Position(where, heading, _time(fields.get("time", "").strip())))
+    except (ValueError, PositionError) as error:
+        raise PositionError(f"{path}, line {line}: {error}; correct the row or leave it out") from error
+
+
+def _name(fields: dict[str, str]) -> str:
+    if None in fields:
+        raise ValueError("it has more fields than the header (put names with commas in quotes)")
+    name = fields["path"].strip()
+    if not name or "\0" in name:
+        raise ValueError("its path is empty or no file's name")
+    return name
+
+
+def _number(fields: dict[str, str], column: str) -> float:
+    text = fields[column].strip()
+    with suppress(ValueError):
+        number = float(text)
+        if abs(number) <= 1e6:  # neither nan nor infinite, nor so large that a turn is lost in rounding
+            return number
+    raise ValueError(f"its {column} {text!r} is not a number of degrees")
+
+
+def _time(text: str) -> datetime | None:
+    if not text:
+        return None
+    with suppress(ValueError):
+        return datetime.fromisoformat(text)
+    raise ValueError(f"its time {text!r} is not written as 2024-05-31T14:00:00")
