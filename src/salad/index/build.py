@@ -1,0 +1,246 @@
+"""From photos to an index: known ones are skipped, unreadable ones named, the rest described and added.
+
+Worker threads hash and decode photos (Pillow lets go of Python's lock) while the model describes the batch
+before; only a few batches are in memory at any time. Every few batches are committed, so an interrupt loses
+little and the next run goes on where this one stopped.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from salad.errors import SaladError
+from salad.index.store import Index
+from salad.photos import Photo, PhotoTable, identity, open_rgb, read_photo, squeeze
+
+if TYPE_CHECKING:
+    from salad.config import Preprocessing
+    from salad.model.describer import Describes
+
+Pixels = npt.NDArray[np.uint8]
+T = TypeVar("T")
+R = TypeVar("R")
+
+COMMIT_BATCHES = 8  # batches between commits: what an interrupt can lose
+_STALE = 1000  # photos to bring up to date in one commit
+
+
+@dataclass(slots=True)
+class Indexed:
+    """What `index_photos` did; added + skipped + len(unreadable) is the number of photos given.
+
+    Attributes:
+        added: Photos that are new in the index.
+        skipped: Photos whose content was there already.
+        moved: Those of the skipped whose file had another path before, which was updated.
+        twins: A sentence for each of the skipped that is a copy of another photo still in its place.
+        unreadable: A sentence for each photo that could not be read.
+    """
+
+    added: int = 0
+    skipped: int = 0
+    moved: int = 0
+    twins: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    """A photo on its way in; `pixels` `[height, width, 3]` come later, `trouble` where it cannot be read."""
+
+    path: Path
+    photo: Photo | None = None
+    content: str = ""
+    pixels: Pixels | None = None
+    trouble: str = ""
+
+    @property
+    def known(self) -> Photo:
+        """The photo with its position and time, where it could be looked at."""
+        return self.photo or Photo(self.path)
+
+
+def index_photos(
+    sources: Sequence[Path],
+    index: Index,
+    model: Describes,
+    *,
+    table: PhotoTable | None = None,
+    batch_size: int = 16,
+    progress: Callable[[int, int], None] | None = None,
+) -> Indexed:
+    """Describe photos and add them to an index.
+
+    A photo is known by its content: one the index holds is not decoded again, its path and position are
+    brought up to date if the file moved, and a copy of a photo that is still in its place is skipped and
+    named.
+
+    Args:
+        sources: Files, as `photos.find_photos` lists them.
+        index: Where to; it must have been made with `model`.
+        model: What describes them.
+        table: Positions of photos, before `@` names and EXIF.
+        batch_size: Photos the model takes at a time.
+        progress: Called with (photos done, photos given) as they are done.
+
+    Raises:
+        WrongModelError: If the index was made with another model.
+        StoreError: If the index cannot be written; what was committed before stays.
+    """
+    index.check_model(model)
+    run = _Run(index, model, len(sources), progress)
+    with workers() as pool:
+        looked = in_order(pool, lambda path: _look(path, table), sources, ahead=4 * batch_size)
+        ready = in_order(
+            pool, lambda item: _decode(item, model.preprocessing), run.unknown(looked), ahead=2 * batch_size
+        )
+        while group := list(islice(ready, COMMIT_BATCHES * batch_size)):
+            run.take_in(group, batch_size)
+    run.bring_up_to_date()
+    return run.result
+
+
+class _Run:
+    """One run of `index_photos`: what is counted so far, and what waits for the next commit."""
+
+    def __init__(
+        self, index: Index, model: Describes, total: int, progress: Callable[[int, int], None] | None
+    ) -> None:
+        self.result = Indexed()
+        self._index, self._model, self._total, self._progress = index, model, total, progress
+        self._stale: list[_Item] = []
+        self._done = 0
+
+    def unknown(self, looked: Iterable[_Item]) -> Iterator[_Item]:
+        """Pass on the photos whose content the index does not hold, settle the others."""
+        for item in looked:
+            if item.trouble:
+                self._give_up(item)
+            elif found := self._index.find([item.content]):
+                self._skip(item, found[item.content])
+            else:
+                yield item
+
+    def take_in(self, group: Sequence[_Item], batch_size: int) -> None:
+        """Describe what was decoded and commit it; copies within the group are described but kept once."""
+        self.bring_up_to_date()  # first: a photo that moved away must not be taken for one that was replaced
+        for item in group:
+            if item.pixels is None:
+                self._give_up(item)
+        good = [item for item in group if item.pixels is not None]
+        rows = [self._describe(good[low : low + batch_size]) for low in range(0, len(good), batch_size)]
+        first: dict[str, int] = {}
+        for number, item in enumerate(good):
+            first.setdefault(item.content, number)
+        before = self._index.find(
+            list(first)
+        )  # a copy in the group before was not yet committed when we looked
+        fresh = [number for content, number in first.items() if content not in before]
+        if fresh:
+            self._add([good[number] for number in fresh], np.concatenate(rows)[fresh])
+        held = self._index.find(list(first))
+        for number in sorted(set(range(len(good))) - set(fresh)):
+            item = good[number]
+            self._skip(item, held.get(item.content, item.known), counted=True)
+        self.bring_up_to_date()
+
+    def bring_up_to_date(self) -> None:
+        """Commit new paths and positions of photos the index held already."""
+        if self._stale:
+            self._index.update([item.known for item in self._stale], [item.content for item in self._stale])
+            self._stale.clear()
+
+    def _describe(self, batch: Sequence[_Item]) -> npt.NDArray[np.float32]:
+        described = self._model.describe(
+            [item.pixels for item in batch if item.pixels is not None], batch_size=len(batch)
+        )
+        self._count(len(batch))
+        return described
+
+    def _add(self, items: Sequence[_Item], descriptors: npt.NDArray[np.float32]) -> None:
+        contents = [item.content for item in items]
+        self.result.added += self._index.add([item.known for item in items], descriptors, identities=contents)
+
+    def _skip(self, item: _Item, held: Photo, *, counted: bool = False) -> None:
+        self.result.skipped += 1
+        path = Path(os.path.realpath(item.path))
+        if path != held.path and _in_place(held.path, item.content):
+            self.result.twins.append(
+                f"{item.path} is a copy of {held.path}, which is in the index: it was skipped"
+            )
+        elif path != held.path or _tells_more(item.known, held):
+            self.result.moved += path != held.path
+            self._stale.append(item)
+            if len(self._stale) >= _STALE:
+                self.bring_up_to_date()
+        if not counted:
+            self._count(1)
+
+    def _give_up(self, item: _Item) -> None:
+        self.result.unreadable.append(item.trouble)
+        self._count(1)
+
+    def _count(self, photos: int) -> None:
+        self._done += photos
+        if self._progress is not None:
+            self._progress(self._done, self._total)
+
+
+@contextmanager
+def workers() -> Iterator[Executor]:
+    """Threads for hashing and decoding; on an error or an interrupt what they have not begun is dropped."""
+    pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="salad-photos")
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def in_order(pool: Executor, work: Callable[[T], R], items: Iterable[T], *, ahead: int) -> Iterator[R]:
+    """`map` over `pool` that keeps the order and never has more than `ahead` items in hand."""
+    source = iter(items)
+    waiting: deque[Future[R]] = deque()
+    while True:
+        waiting.extend(pool.submit(work, item) for item in islice(source, ahead - len(waiting)))
+        if not waiting:
+            return
+        yield waiting.popleft().result()
+
+
+def _look(path: Path, table: PhotoTable | None) -> _Item:
+    """What is known of a photo without decoding it."""
+    try:
+        return _Item(path, read_photo(path, table), identity(path))
+    except SaladError as error:
+        return _Item(path, trouble=str(error))
+
+
+def _decode(item: _Item, to: Preprocessing) -> _Item:
+    try:
+        return replace(item, pixels=squeeze(open_rgb(item.path), to.height, to.width, to.resample))
+    except SaladError as error:
+        return replace(item, trouble=str(error))
+
+
+def _in_place(path: Path, content: str) -> bool:
+    """Whether the file at `path` still holds that content."""
+    try:
+        return identity(path) == content
+    except SaladError:
+        return False
+
+
+def _tells_more(photo: Photo, held: Photo) -> bool:
+    news = (photo.where, held.where), (photo.heading, held.heading), (photo.time, held.time)
+    return any(new is not None and new != old for new, old in news)

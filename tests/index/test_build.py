@@ -1,0 +1,210 @@
+"""From photos to an index: nothing twice, nothing lost, nothing silent."""
+
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from salad.errors import WrongModelError
+from salad.geo import GeoPoint
+from salad.index import Index, build, index_photos
+from salad.index.build import in_order, workers
+from salad.model.fake import FakeDescriber
+from salad.photos import Photo, PhotoTable, identity
+
+
+@dataclass(frozen=True)
+class CountingDescriber(FakeDescriber):
+    """Remembers how many photos it was given, and raises at a chosen one."""
+
+    batches: list[int] = field(default_factory=list)
+    interrupt_at: int | None = None
+
+    def describe(self, photos: Sequence[np.ndarray], *, batch_size: int = 16) -> np.ndarray:
+        if self.interrupt_at is not None and sum(self.batches) + len(photos) > self.interrupt_at:
+            raise KeyboardInterrupt
+        self.batches.append(len(photos))
+        return super().describe(photos, batch_size=batch_size)
+
+
+def draw(path: Path, seed: int) -> Path:
+    path.parent.mkdir(exist_ok=True, parents=True)
+    pixels = np.random.default_rng(seed).integers(0, 256, (6, 6, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(path, format="PNG")
+    return path
+
+
+@pytest.fixture
+def index(tmp_path: Path) -> Iterator[Index]:
+    with new_index(tmp_path) as made:
+        yield made
+
+
+def new_index(folder: Path) -> Index:
+    model = FakeDescriber()
+    return Index.create(folder / "i", dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> list[Path]:
+    return [draw(tmp_path / "photos" / f"{n:02}.png", n) for n in range(20)]
+
+
+def test_photos_are_found_by_their_own_pixels(index: Index, photos: list[Path]) -> None:
+    model, seen = FakeDescriber(), []
+    done = index_photos(photos, index, model, batch_size=3, progress=lambda *at: seen.append(at))
+    assert (done.added, done.skipped, done.moved, done.twins, done.unreadable) == (20, 0, 0, [], [])
+    for path, (best,) in zip(photos, index.search(model.describe(photos), k=1), strict=True):
+        assert best.photo.path == path
+        assert best.score == pytest.approx(1, abs=2e-3)
+    assert [at for at, _ in seen] == sorted(at for at, _ in seen)
+    assert seen[-1] == (20, 20)
+
+
+def test_what_is_there_is_not_described_again(index: Index, photos: list[Path]) -> None:
+    index_photos(photos[:15], index, FakeDescriber())
+    model, seen = CountingDescriber(), []
+    done = index_photos(photos, index, model, progress=lambda *at: seen.append(at))
+    assert (done.added, done.skipped) == (5, 15)
+    assert sum(model.batches) == 5
+    assert seen[-1] == (20, 20)
+    assert index_photos(photos, index, model).skipped == 20
+    assert sum(model.batches) == 5
+    assert index_photos([], index, model).added == 0
+
+
+def test_unreadable_photos_are_named_and_the_rest_goes_on(index: Index, photos: list[Path]) -> None:
+    empty, text, gone = (photos[0].with_name(name) for name in ("empty.jpg", "text.png", "gone.png"))
+    empty.touch()
+    text.write_text("no picture")
+    cut = photos[0].with_name("cut.jpg")
+    Image.fromarray(np.zeros((99, 99, 3), np.uint8)).save(cut)
+    cut.write_bytes(cut.read_bytes()[:-300])
+    seen = []
+    given = [empty, *photos, text, gone, cut]
+    done = index_photos(given, index, FakeDescriber(), batch_size=2, progress=lambda *at: seen.append(at))
+    assert (done.added, done.skipped, len(index)) == (20, 0, 20)
+    for path in (empty, text, gone, cut):
+        assert [path.name in said for said in done.unreadable].count(True) == 1
+    assert seen[-1] == (24, 24)
+
+
+def test_copies_are_kept_once_and_named(index: Index, photos: list[Path]) -> None:
+    copies = [path.with_name(f"copy-{path.name}") for path in photos]
+    for path, copy in zip(photos, copies, strict=True):
+        copy.write_bytes(path.read_bytes())
+    done = index_photos(
+        [photos[0], copies[0], *photos[1:], *copies[1:]], index, FakeDescriber(), batch_size=1
+    )
+    assert (done.added, done.skipped, len(done.twins), done.moved) == (20, 20, 20, 0)
+    assert str(copies[0]) in done.twins[0]
+    assert str(photos[0]) in done.twins[0]
+    assert [held.path for held in index.photos()] == photos
+
+
+def test_a_moved_photo_takes_its_row_along(index: Index, photos: list[Path]) -> None:
+    index_photos(photos, index, FakeDescriber())
+    moved = [path.rename(path.with_name(f"moved-{path.name}")) for path in photos]
+    model = CountingDescriber()
+    done = index_photos(moved, index, model)
+    assert (done.added, done.skipped, done.moved, model.batches) == (0, 20, 20, [])
+    assert [held.path for held in index.photos()] == moved
+
+
+def test_positions_come_from_a_table_and_stay(index: Index, photos: list[Path], tmp_path: Path) -> None:
+    index_photos(photos[:2], index, FakeDescriber())
+    table = tmp_path / "places.csv"
+    table.write_text("path,lat,lon\n" + "".join(f"photos/{p.name},{n},7\n" for n, p in enumerate(photos[:3])))
+    done = index_photos(photos[:3], index, FakeDescriber(), table=PhotoTable.read(table))
+    assert (done.added, done.skipped, done.moved) == (1, 2, 0)
+    index_photos(photos[:3], index, FakeDescriber())
+    assert [held.where for held in index.photos()] == [GeoPoint(n, 7) for n in range(3)]
+
+
+def test_many_stale_photos_are_brought_up_to_date_in_parts(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "_STALE", 3)
+    index_photos(photos, index, FakeDescriber())
+    moved = [path.rename(path.with_name(f"moved-{path.name}")) for path in photos]
+    assert index_photos(moved, index, FakeDescriber()).moved == 20
+    assert {held.path for held in index.photos()} == set(moved)
+
+
+def test_an_interrupt_leaves_what_was_committed_and_the_next_run_goes_on(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "COMMIT_BATCHES", 2)
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        index_photos(photos, index, CountingDescriber(interrupt_at=13), batch_size=3)
+    assert len(index) == 12
+    assert index.verify() == []
+    assert threading.active_count() == before
+    done = index_photos(photos, index, FakeDescriber(), batch_size=3)
+    assert (done.added, done.skipped) == (8, 12)
+
+
+def test_another_model_adds_nothing(index: Index, photos: list[Path]) -> None:
+    with pytest.raises(WrongModelError):
+        index_photos(photos, index, FakeDescriber(seed=5))
+    assert len(index) == 0
+
+
+def test_work_in_hand_is_bounded_and_in_order() -> None:
+    begun, most = [], 0
+    with workers() as pool:
+        for number, result in enumerate(in_order(pool, lambda n: begun.append(n) or n, range(50), ahead=4)):
+            assert result == number
+            most = max(most, len(begun) - number)
+    assert most <= 5
+
+
+FILES = ["a", "b", "c", "d"]
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(["write", "move", "copy", "delete", "index"]),
+        st.sampled_from(FILES),
+        st.sampled_from(FILES),
+        st.integers(0, 3),
+    ),
+    max_size=14,
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(steps=STEPS, batch_size=st.integers(1, 3), by_chance=st.randoms(use_true_random=False))
+def test_after_indexing_each_content_is_found_where_it_is(
+    steps: list[tuple[str, str, str, int]], batch_size: int, by_chance: object
+) -> None:
+    with TemporaryDirectory() as folder, new_index(Path(folder)) as index:
+        home = Path(os.path.realpath(folder), "p")
+        home.mkdir()
+        for step, name, other, seed in [*steps, ("index", "", "", 0)]:
+            here, there = home / name, home / other
+            if step == "write":
+                draw(here, seed)
+            elif step == "delete":
+                here.unlink(missing_ok=True)
+            elif step != "index" and here.exists() and here != there:
+                here.rename(there) if step == "move" else there.write_bytes(here.read_bytes())
+            elif step == "index":
+                files = sorted(home.iterdir())
+                by_chance.shuffle(files)
+                done = index_photos(files, index, FakeDescriber(), batch_size=batch_size)
+                assert done.added + done.skipped == len(files)
+                held = {identity(path): path for path in files}
+                found = index.find(list(held))
+                assert set(found) == set(held)
+                assert all(identity(photo.path) == content for content, photo in found.items())
+                live: list[Photo] = list(index.photos())
+                assert len({photo.path for photo in live}) == len(live)
+        assert index.verify() == []
