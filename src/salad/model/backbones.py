@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -29,6 +30,7 @@ class Shape(NamedTuple):
 
 
 STEM = 32
+AT_ONCE = 8  # photos whose widest tensors still fit a processor's cache: twice as fast as 32 together
 LITE0: tuple[Shape, ...] = (
     Shape(3, 1, 1, 16),
     *(Shape(3, stride, 6, 24) for stride in (2, 1)),
@@ -40,25 +42,37 @@ LITE0: tuple[Shape, ...] = (
 )
 
 
-class SamePadConv(nn.Conv2d):
-    """A convolution padded as TensorFlow pads: the odd pixel goes to the right and below."""
+class Filter(nn.Conv2d):
+    """A convolution padded as TensorFlow pads: an odd pixel goes to the right and below."""
 
-    def forward(self, x: Float[Tensor, "batch c h w"]) -> Float[Tensor, "batch c2 h2 w2"]:
-        """Pad, then convolve."""
-        sides = [self._excess(x.shape[axis]) for axis in (3, 2)]
-        return super().forward(F.pad(x, [edge for total in sides for edge in (total // 2, total - total // 2)]))
+    def __init__(self, inside: int, out: int, *, kernel: int = 1, stride: int = 1, groups: int = 1) -> None:
+        super().__init__(inside, out, kernel, stride=stride, groups=groups, bias=False)
+
+    def normalised(
+        self, x: Float[Tensor, "batch c h w"], norm: nn.BatchNorm2d
+    ) -> Float[Tensor, "batch c2 h2 w2"]:
+        """Convolve and normalise by `norm`'s own statistics, which are fixed: so both are one filter.
+
+        Folding them spares two passes over the widest tensors, in use and in training; gradients reach the
+        filter and the norm's weights as if they were apart.
+        """
+        assert norm.running_mean is not None
+        assert norm.running_var is not None
+        scale = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
+        weight, bias = self.weight * scale[:, None, None, None], norm.bias - norm.running_mean * scale
+        down, right = (self._excess(x.shape[axis]) for axis in (2, 3))
+        if down % 2 or right % 2:
+            x = F.pad(x, [right // 2, right - right // 2, down // 2, down - down // 2])
+            down = right = 0
+        return F.conv2d(x, weight, bias, self.stride, (down // 2, right // 2), groups=self.groups)
 
     def _excess(self, size: int) -> int:
         stride, kernel = self.stride[0], self.kernel_size[0]
         return max((-(-size // stride) - 1) * stride + kernel - size, 0)
 
 
-def _conv(inside: int, out: int, *, kernel: int = 1, stride: int = 1, groups: int = 1) -> nn.Conv2d:
-    return SamePadConv(inside, out, kernel, stride=stride, groups=groups, bias=False)
-
-
 def _norm(channels: int) -> nn.BatchNorm2d:
-    return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01)
+    return nn.BatchNorm2d(channels, eps=1e-3)
 
 
 class InvertedResidual(nn.Module):
@@ -67,11 +81,11 @@ class InvertedResidual(nn.Module):
     def __init__(self, inside: int, shape: Shape) -> None:
         super().__init__()
         wide = inside * shape.expand
-        self._expand_conv = _conv(inside, wide) if shape.expand > 1 else None
+        self._expand_conv = Filter(inside, wide) if shape.expand > 1 else None
         self._bn0 = _norm(wide) if shape.expand > 1 else None
-        self._depthwise_conv = _conv(wide, wide, kernel=shape.kernel, stride=shape.stride, groups=wide)
+        self._depthwise_conv = Filter(wide, wide, kernel=shape.kernel, stride=shape.stride, groups=wide)
         self._bn1 = _norm(wide)
-        self._project_conv = _conv(wide, shape.out)
+        self._project_conv = Filter(wide, shape.out)
         self._bn2 = _norm(shape.out)
         self.residual = shape.stride == 1 and inside == shape.out
 
@@ -79,14 +93,16 @@ class InvertedResidual(nn.Module):
         """One block."""
         wide = x
         if self._expand_conv is not None and self._bn0 is not None:
-            wide = F.relu6(self._bn0(self._expand_conv(wide)))
-        wide = F.relu6(self._bn1(self._depthwise_conv(wide)))
-        out: Tensor = self._bn2(self._project_conv(wide))
+            wide = F.relu6(self._expand_conv.normalised(wide, self._bn0), inplace=True)
+        wide = F.relu6(self._depthwise_conv.normalised(wide, self._bn1), inplace=True)
+        out = self._project_conv.normalised(wide, self._bn2)
         return x + out if self.residual else out
 
 
 class Lite0(nn.Module):
     """EfficientNet-Lite0's trunk up to a block; the mean token stands for the scene.
+
+    Its normalisation keeps ImageNet's statistics, in training too: a batch of few places has poor ones.
 
     Raises:
         ModelError: `blocks` is not 1 to 16.
@@ -101,17 +117,29 @@ class Lite0(nn.Module):
         self.config, self.width, self.stride = config, shapes[-1].out, 2
         for shape in shapes:
             self.stride *= shape.stride
-        self._conv_stem = _conv(3, STEM, kernel=3, stride=2)
+        self._conv_stem = Filter(3, STEM, kernel=3, stride=2)
         self._bn0 = _norm(STEM)
         self._blocks = nn.ModuleList(map(InvertedResidual, inputs, shapes))
 
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
-        x = F.relu6(self._bn0(self._conv_stem(images)))
+        if images.device.type == "cpu" and len(images) > AT_ONCE:
+            return _joined([self(some) for some in images.split(AT_ONCE)])
+        images = images.contiguous(memory_format=torch.channels_last)  # depthwise filters run twice as fast
+        x = F.relu6(self._conv_stem.normalised(images, self._bn0), inplace=True)
         for block in self._blocks:
             x = block(x)
         patches = x.flatten(2).transpose(1, 2)
         return Tokens(patches, patches.mean(dim=1), (x.shape[2], x.shape[3]), self.stride)
+
+    def train_last(self, blocks: int) -> None:
+        """Train everything, or nothing where `blocks` is 0: so small a trunk is not worth freezing by parts."""
+        self.requires_grad_(blocks > 0)
+
+
+def _joined(parts: list[Tokens]) -> Tokens:
+    patches, scenes = (torch.cat([part[number] for part in parts]) for number in (0, 1))
+    return Tokens(patches, scenes, parts[0].grid, parts[0].stride)
 
 
 Backbone = ViT | Lite0

@@ -121,7 +121,7 @@ def read_published(path: Path, *, heads: int | None = None, name: str | None = N
         WeightsError: the file is not of a layout known here, or lacks or adds a tensor; the message lists them.
     """
     try:
-        found = layouts.recognise(_read_tensors(path), heads=heads)
+        found = layouts.recognise(read_tensors(path), heads=heads)
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}") from error
     config = ModelConfig(
@@ -157,7 +157,12 @@ def _filled(config: ModelConfig, weights: Mapping[str, Tensor], *, source: Path)
     return model
 
 
-def _read_tensors(path: Path) -> Mapping[str, Tensor]:
+def read_tensors(path: Path) -> Mapping[str, Tensor]:
+    """The named tensors of a foreign file; whatever it holds, no code of it runs.
+
+    Raises:
+        WeightsError: it cannot be read safely, or holds something else than tensors.
+    """
     if path.suffix == ".safetensors":
         return _read_safetensors(path)
     try:

@@ -1,0 +1,1 @@
+"""Teaching a model: places -> batches -> augmented views -> loss -> weights."""

@@ -1,0 +1,224 @@
+"""The training loop: read it aloud.
+
+A run lives in a folder: `log.jsonl` (one line a measurement), `last.ckpt` (to go on from after an interrupt) and,
+in the end, `model/` in our own format. The n-th step depends on the seed and n alone, so a run that was
+interrupted ends as it would have.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from salad.data.places import TrainingPlace, View, batches, split
+from salad.errors import MissingExtraError, ModelError
+from salad.model.describer import Describer, build
+from salad.model.weights import write_folder
+from salad.train.augment import augmentation
+from salad.train.choose import Shelf, recall_held_out
+from salad.train.objective import multi_similarity
+from salad.train.recipe import Preset, Recipe
+from salad.train.start import start_backbone
+
+Say = Callable[[str], None]
+CHECKPOINT, LOG, MODEL = "last.ckpt", "log.jsonl", "model"
+
+
+def train(
+    preset: Preset,
+    places: Sequence[TrainingPlace],
+    *,
+    to: Path,
+    start: str | None = None,
+    accelerator: str = "auto",
+    provenance: str = "",
+    licence: str = "",
+    say: Say = print,
+) -> Path:
+    """Train a model and write it to `to/model`.
+
+    Args:
+        preset: the model, where its backbone starts, and the recipe.
+        places: what to learn from; the recipe's share of them is held out.
+        to: the run's folder; a run found there goes on.
+        start: other weights for the backbone than the preset's.
+        accelerator: Fabric's word for where to run: `auto`, `cpu`, `gpu`, `mps`.
+        provenance: what the written model says of where it comes from.
+        licence: what it says of its licence.
+        say: takes a line whenever there is something to tell.
+
+    Raises:
+        MissingExtraError: the `train` extra is not installed.
+        BenchmarkError: there are too few places.
+        ModelError: `to` holds a run of another recipe.
+    """
+    recipe = preset.recipe
+    learn, choose = split(places, held_out=recipe.held_out, seed=recipe.seed)
+    say(f"{len(learn)} places to learn from, {len(choose)} held out to choose by")
+    config = replace(preset.model, provenance=provenance, licence=licence)
+    model = build(config, seed=recipe.seed)
+    start_backbone(model, preset.start if start is None else start)
+    to.mkdir(parents=True, exist_ok=True)
+    run = _Run(model, recipe, learn, choose, folder=to, accelerator=accelerator, say=say)
+    run.steps()
+    trained = run.average.module if recipe.average else model
+    return write_folder(trained.cpu().eval(), to / MODEL, dtype=torch.float16, overwrite=True)
+
+
+class _Run:
+    """One run: its two stages are one walk over numbered steps."""
+
+    def __init__(
+        self,
+        model: Describer,
+        recipe: Recipe,
+        learn: Sequence[TrainingPlace],
+        choose: Sequence[TrainingPlace],
+        *,
+        folder: Path,
+        accelerator: str,
+        say: Say,
+    ) -> None:
+        self.model, self.recipe, self.learn, self.choose = model, recipe, learn, choose
+        self.folder, self.say = folder, say
+        self.fabric = _fabric(accelerator, recipe.precision)
+        size = model.preprocessing.height, model.preprocessing.width
+        self.augment, self.objective, self.shelf = augmentation(*size), multi_similarity(), Shelf(model)
+        self.average = AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(recipe.average))
+        self.step, self.began = 0, time.monotonic()
+
+    def steps(self) -> None:
+        """Both stages, from wherever the run stands."""
+        saved = self._saved()
+        for stage, end in (("head", self.recipe.head_steps), ("tune", self._end())):
+            if saved and saved["step"] >= end:
+                continue
+            if self.step < end or saved:
+                self._stage(stage, end, saved)
+                saved = None
+
+    def _end(self) -> int:
+        return self.recipe.head_steps + self.recipe.tune_steps
+
+    def _stage(self, stage: str, end: int, saved: dict[str, Any] | None) -> None:
+        first = 0 if stage == "head" else self.recipe.head_steps
+        self.model.backbone.train_last(0 if stage == "head" else self.recipe.tuned_blocks)
+        module, optimizer = self.fabric.setup(self.model, _optimizer(self.model, self.recipe))
+        self.average.to(self.fabric.device)
+        if saved:
+            self.model.load_state_dict(saved["model"])
+            self.average.load_state_dict(saved["average"])
+            optimizer.load_state_dict(saved["optimizer"])
+            self.step = saved["step"]
+            self.say(f"going on from step {self.step}")
+        feed = batches(
+            self.learn,
+            per_batch=self.recipe.places,
+            views=self.recipe.views,
+            seed=self.recipe.seed,
+            start=self.step,
+        )
+        while self.step < end:
+            factor = rate_factor(self.step - first, end - first, self.recipe)
+            for group in optimizer.param_groups:
+                group["lr"] = group["rate"] * factor
+            loss = self._learn(module, optimizer, next(feed))
+            self.step += 1
+            if self.step % self.recipe.measure_every == 0 or self.step == end:
+                self._tell(stage, loss, optimizer)
+
+    def _learn(self, module: nn.Module, optimizer: torch.optim.Optimizer, batch: Sequence[View]) -> float:
+        torch.manual_seed(self.recipe.seed * 1_000_003 + self.step)
+        module.train()
+        images = self._views(batch)
+        labels = torch.tensor([view.label for view in batch], device=self.fabric.device)
+        loss = self.objective(module(images).float(), labels)
+        self.fabric.backward(loss)
+        nn.utils.clip_grad_norm_(module.parameters(), 1.0)
+        optimizer.step()
+        optimizer.zero_grad()
+        self.average.update_parameters(self.model)
+        return float(loss.detach())
+
+    def _views(self, batch: Sequence[View]) -> Float[Tensor, "batch 3 height width"]:
+        photos = self.shelf.photos([view.path for view in batch]).to(self.fabric.device)
+        mirrored = torch.tensor([view.mirrored for view in batch], device=self.fabric.device)
+        photos = torch.where(mirrored[:, None, None, None], photos.flip(-1), photos)
+        with torch.no_grad():
+            seen: Tensor = self.augment(photos.float() / 255).clamp(0, 1)
+            return (seen - self.model.mean) / self.model.std
+
+    def _tell(self, stage: str, loss: float, optimizer: torch.optim.Optimizer) -> None:
+        told: dict[str, Any] = {
+            "step": self.step,
+            "stage": stage,
+            "loss": round(loss, 4),
+            "seconds": round(time.monotonic() - self.began, 1),
+        }
+        if self.choose:
+            judged = self.average.module if self.recipe.average else self.model
+            told["held_out_r1"] = recall_held_out(judged, self.choose, self.shelf)
+        with (self.folder / LOG).open("a", encoding="utf-8") as log:
+            log.write(json.dumps(told) + "\n")
+        self.say(json.dumps(told))
+        self._save(optimizer)
+
+    def _save(self, optimizer: torch.optim.Optimizer) -> None:
+        state = {
+            "recipe": asdict(self.recipe),
+            "step": self.step,
+            "model": self.model.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": optimizer.state_dict(),
+        }
+        draft = self.folder / f"{CHECKPOINT}.part"
+        torch.save(state, draft)
+        draft.replace(self.folder / CHECKPOINT)
+
+    def _saved(self) -> dict[str, Any] | None:
+        path = self.folder / CHECKPOINT
+        if not path.is_file():
+            return None
+        saved: dict[str, Any] = torch.load(path, map_location=self.fabric.device, weights_only=True)
+        if saved["recipe"] != asdict(self.recipe):
+            raise ModelError(f"{path} belongs to a run of another recipe; choose another folder with --to")
+        if saved["step"] == self._end():
+            self.model.load_state_dict(saved["model"])
+            self.average.load_state_dict(saved["average"])
+        return saved
+
+
+def rate_factor(step: int, steps: int, recipe: Recipe) -> float:
+    """What the learning rate is multiplied by at a step of its stage: up, then linearly down."""
+    rising = min(1.0, (step + 1) / max(1, recipe.warmup))
+    falling = 1 - (1 - recipe.last) * step / max(1, steps)
+    return rising * falling
+
+
+def _optimizer(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
+    groups = [
+        {"params": list(_trained(part)), "rate": rate}
+        for part, rate in ((model.aggregator, recipe.head_rate), (model.backbone, recipe.trunk_rate))
+    ]
+    return torch.optim.AdamW([group for group in groups if group["params"]], weight_decay=recipe.weight_decay)
+
+
+def _trained(part: nn.Module) -> Iterator[nn.Parameter]:
+    return (weight for weight in part.parameters() if weight.requires_grad)
+
+
+def _fabric(accelerator: str, precision: str) -> Any:
+    try:
+        from lightning_fabric import Fabric
+    except ImportError as error:
+        raise MissingExtraError("training", "train") from error
+    return Fabric(accelerator=accelerator, devices=1, precision=precision)

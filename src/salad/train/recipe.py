@@ -1,0 +1,80 @@
+"""What a training run is, as data. Imports no torch, so the command line can show and check it at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig, ViTConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """How a model is trained: first the head alone, then the whole of it.
+
+    Args:
+        head_steps: steps with the backbone frozen.
+        tune_steps: steps with everything trained (`tuned_blocks` says how much of a vision transformer).
+        places: places in a batch.
+        views: photos of each.
+        head_rate: learning rate of the aggregator.
+        trunk_rate: learning rate of the backbone once it is trained.
+        weight_decay: AdamW's.
+        warmup: steps over which a stage's learning rate rises; after that it falls linearly to `last`.
+        last: share of the learning rate left at a stage's end.
+        average: decay of the running mean of the weights that is kept in the end; 0 keeps the last weights.
+        tuned_blocks: blocks of a vision transformer trained in the second stage.
+        held_out: share of the places kept for choosing, never trained on.
+        measure_every: steps between two measurements on the places held out.
+        precision: Fabric's word for it; `bf16-mixed` halves the time where the processor has bfloat16.
+        seed: of everything random.
+    """
+
+    head_steps: int = 150
+    tune_steps: int = 450
+    places: int = 16
+    views: int = 4
+    head_rate: float = 1e-3
+    trunk_rate: float = 3e-4
+    weight_decay: float = 1e-4
+    warmup: int = 20
+    last: float = 0.05
+    average: float = 0.98
+    tuned_blocks: int = 4
+    held_out: float = 0.2
+    measure_every: int = 50
+    precision: str = "bf16-mixed"
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """A model to make, where its backbone starts, and how it is trained."""
+
+    model: ModelConfig
+    start: str
+    recipe: Recipe
+
+
+LITE_HEAD = SaladConfig(width=112, clusters=32, cluster_dim=64, scene_dim=128, hidden=256, dropout=0.0)
+LITE_PHOTO = Preprocessing(height=320, width=320, mean=(127 / 255,) * 3, std=(128 / 255,) * 3)
+
+PRESETS: dict[str, Preset] = {
+    "salad-lite": Preset(
+        model=ModelConfig(
+            name="salad-lite", backbone=LiteConfig(), aggregator=LITE_HEAD, preprocessing=LITE_PHOTO
+        ),
+        start="imagenet",
+        recipe=Recipe(),
+    ),
+    "salad-vits": Preset(
+        model=ModelConfig(
+            name="salad-vits",
+            backbone=ViTConfig(width=384, depth=9, heads=6),
+            aggregator=SaladConfig(width=384, clusters=32, cluster_dim=64, scene_dim=128, hidden=256, dropout=0.0),
+            preprocessing=Preprocessing(height=224, width=224),
+        ),
+        start="",  # a file given with --start
+        recipe=Recipe(head_rate=5e-4, trunk_rate=3e-5, tuned_blocks=2),
+    ),
+}
+"""`salad-lite` is the model that ships; `salad-vits` is what it was measured against."""
