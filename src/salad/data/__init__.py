@@ -1,0 +1,1 @@
+"""Photos with known places: benchmarks, training places, and a drawn town."""
