@@ -53,12 +53,7 @@ def find_places(root: Path) -> list[TrainingPlace]:
     """
     if not root.is_dir():
         raise BenchmarkError(f"there is no folder {root} to train from")
-    if (root / "Dataframes").is_dir():
-        return _gsv_cities(root)
-    children = sorted(child for child in root.iterdir() if child.is_dir())
-    if any(_photos(child) for child in children):
-        return _folders(root, children)
-    places = [place for child in children if any(child.iterdir()) for place in find_places(child)]
+    places = _places(root)
     if not places:
         raise BenchmarkError(
             f"{root} holds no place to learn from: expected GSV-Cities' Dataframes/ and Images/, or one folder of "
@@ -117,6 +112,15 @@ def _some(chance: np.random.Generator, photos: int, views: int) -> list[int]:
     return np.concatenate([chance.permutation(photos) for _ in range(rounds)])[:views].tolist()  # type: ignore[no-any-return]
 
 
+def _places(root: Path) -> list[TrainingPlace]:
+    if (root / "Dataframes").is_dir():
+        return _gsv_cities(root)
+    children = sorted(child for child in root.iterdir() if child.is_dir())
+    if any(_photos(child) for child in children):
+        return _folders(root, children)
+    return [place for child in children for place in _places(child)]
+
+
 def _cities(places: Sequence[TrainingPlace]) -> dict[str, list[TrainingPlace]]:
     cities: dict[str, list[TrainingPlace]] = defaultdict(list)
     for place in places:
@@ -125,7 +129,8 @@ def _cities(places: Sequence[TrainingPlace]) -> dict[str, list[TrainingPlace]]:
 
 
 def _photos(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES))
+    files = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return tuple(sorted(path for path in files if path.suffix.lower() in SUFFIXES))
 
 
 def _folders(root: Path, children: Sequence[Path]) -> list[TrainingPlace]:
@@ -147,7 +152,9 @@ def _gsv_cities(root: Path) -> list[TrainingPlace]:
                     raise BenchmarkError(f"{table}, line {number}: cannot be read ({error!r})") from error
         for name, dated in taken.items():
             if len(dated) >= FEWEST:
-                places.append(TrainingPlace(name, f"{root.name}/{table.stem}", tuple(p for _, p in sorted(dated))))
+                places.append(
+                    TrainingPlace(name, f"{root.name}/{table.stem}", tuple(p for _, p in sorted(dated)))
+                )
     return places
 
 

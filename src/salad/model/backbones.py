@@ -124,7 +124,7 @@ class Lite0(nn.Module):
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
         if images.device.type == "cpu" and len(images) > AT_ONCE:
-            return _joined([self(some) for some in images.split(AT_ONCE)])
+            return _joined([self(some) for some in torch.split(images, AT_ONCE)])
         images = images.contiguous(memory_format=torch.channels_last)  # depthwise filters run twice as fast
         x = F.relu6(self._conv_stem.normalised(images, self._bn0), inplace=True)
         for block in self._blocks:
@@ -138,8 +138,8 @@ class Lite0(nn.Module):
 
 
 def _joined(parts: list[Tokens]) -> Tokens:
-    patches, scenes = (torch.cat([part[number] for part in parts]) for number in (0, 1))
-    return Tokens(patches, scenes, parts[0].grid, parts[0].stride)
+    patches, scenes = (torch.cat(same) for same in zip(*(part[:2] for part in parts), strict=True))
+    return parts[0]._replace(patches=patches, scene=scenes)
 
 
 Backbone = ViT | Lite0

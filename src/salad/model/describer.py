@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.config import ModelConfig, Preprocessing
-from salad.errors import ModelError
+from salad.errors import ModelError, PhotoError
 from salad.model.aggregators import Salad, build_aggregator
 from salad.model.backbones import build_backbone
 from salad.model.tokens import Tokens
@@ -155,8 +155,11 @@ class Describer(nn.Module):
             One row of length 1 for each photo.
 
         Raises:
-            PhotoError: a path cannot be read; the message names it.
+            PhotoError: a path cannot be read, and the message names it; or an array is no photo.
+            ModelError: `batch_size` is below 1.
         """
+        if batch_size < 1:
+            raise ModelError(f"batch_size is {batch_size}; give at least 1")
         rows = np.empty((len(photos), self.dim), dtype=np.float32)
         for start in range(0, len(photos), batch_size):
             batch = photos[start : start + batch_size]
@@ -186,12 +189,16 @@ class Describer(nn.Module):
     def _squeeze(self, photo: PhotoLike) -> UInt8[np.ndarray, "height width 3"]:
         height, width = self.preprocessing.height, self.preprocessing.width
         if isinstance(photo, np.ndarray):
-            if photo.shape == (height, width, 3) and photo.dtype == np.uint8:
+            if photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
+                raise PhotoError(
+                    f"an array of {photo.dtype} {photo.shape} is no photo: give uint8 [height, width, 3]"
+                )
+            if photo.shape == (height, width, 3):
                 return photo
             photo = Image.fromarray(photo)
         if not isinstance(photo, Image.Image):
             photo = open_rgb(Path(photo))
-        return squeeze(photo.convert("RGB"), height, width, self.preprocessing.resample)
+        return squeeze(photo, height, width, self.preprocessing.resample)
 
 
 class _evaluating:  # noqa: N801  # reads as a verb

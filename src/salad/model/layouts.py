@@ -48,13 +48,17 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
         heads: attention heads, which no tensor tells; width / 64 where not given.
 
     Raises:
-        WeightsError: the names belong to no layout known here, or a tensor that must be there is missing.
+        WeightsError: the names belong to no layout known here, or a tensor that must be there is missing or has
+            too few axes.
     """
     keys = raw.keys()
     if any(key.startswith("backbone.model.") for key in keys):
         layout, weights = "flat", {_flat(key): value for key, value in raw.items()}
     elif any(key.startswith("aggregator.agg.") for key in keys):
-        layout, weights = "megaloc", {_flat(key.replace(".agg.", ".", 1)): value for key, value in raw.items()}
+        layout, weights = (
+            "megaloc",
+            {_flat(key.replace(".agg.", ".", 1)): value for key, value in raw.items()},
+        )
     elif "cls_token" in keys:
         layout, weights = "hub", {f"backbone.{key}": value for key, value in raw.items()}
     else:
@@ -69,6 +73,8 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
         aggregator = SceneConfig(width=vit.width) if layout == "hub" else _salad(weights)
     except KeyError as error:
         raise WeightsError(f"the tensor {error} is missing; the file may be cut short") from error
+    except IndexError as error:
+        raise WeightsError("a tensor has too few axes for its name; the file may be damaged") from error
     return Published(layout, vit, aggregator, _flatten_convolutions(weights))
 
 

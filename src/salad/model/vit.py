@@ -117,12 +117,12 @@ class ViT(nn.Module):
     """DINOv2's vision transformer, small to giant, with or without registers.
 
     Raises:
-        ModelError: `heads` does not divide `width`.
+        ModelError: `heads` is not at least 1, or does not divide `width`.
     """
 
     def __init__(self, config: ViTConfig) -> None:
         super().__init__()
-        if config.width % config.heads:
+        if config.heads < 1 or config.width % config.heads:
             raise ModelError(
                 f"{config.heads} attention heads do not divide a width of {config.width}; give heads= as the "
                 "model was trained with"
@@ -175,7 +175,7 @@ class ViT(nn.Module):
             resampled = F.interpolate(square, size=grid, mode="bicubic", antialias=True)
         else:
             factors = tuple((cells + OFFSET) / side for cells in grid)
-            resampled = F.interpolate(square, scale_factor=factors, mode="bicubic", antialias=False)  # type: ignore[arg-type]  # torch's stub knows only a list
+            resampled = F.interpolate(square, scale_factor=factors, mode="bicubic", antialias=False)
         return resampled.flatten(2).transpose(1, 2)
 
     def _init_weights(self) -> None:

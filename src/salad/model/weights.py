@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -73,7 +72,7 @@ def read_folder(folder: Path) -> Describer:
                 f"{folder / CONFIG} has format {version}, this salad reads {FORMAT}: upgrade salad-vpr"
             )
         config = ModelConfig.from_dict(settings)
-    except (OSError, ValueError, KeyError, AttributeError, ModelError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
         raise WeightsError(f"{folder / CONFIG} cannot be read: {error}") from error
     return _filled(config, _read_safetensors(folder / WEIGHTS), source=folder / WEIGHTS)
 
@@ -101,15 +100,16 @@ def write_folder(
     }
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        draft.chmod(0o755)  # mkdtemp's is for its owner alone
-        save_file(weights, draft / WEIGHTS)
-        text = json.dumps({"format": FORMAT, **model.config.as_dict()}, indent=2) + "\n"
-        (draft / CONFIG).write_text(text, encoding="utf-8")
-        if folder.exists():
-            shutil.rmtree(folder)
-        os.replace(draft, folder)
-    except OSError as error:
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as beside:
+            draft = Path(beside) / "new"
+            draft.mkdir()
+            save_file(weights, draft / WEIGHTS)
+            text = json.dumps({"format": FORMAT, **model.config.as_dict()}, indent=2) + "\n"
+            (draft / CONFIG).write_text(text, encoding="utf-8")
+            if folder.exists():
+                os.replace(folder, Path(beside) / "old")
+            os.replace(draft, folder)
+    except (OSError, SafetensorError) as error:
         raise WeightsError(f"the model cannot be written to {folder}: {error}") from error
     return folder
 
@@ -120,8 +120,9 @@ def read_published(path: Path, *, heads: int | None = None, name: str | None = N
     Raises:
         WeightsError: the file is not of a layout known here, or lacks or adds a tensor; the message lists them.
     """
+    tensors = read_tensors(path)
     try:
-        found = layouts.recognise(read_tensors(path), heads=heads)
+        found = layouts.recognise(tensors, heads=heads)
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}") from error
     config = ModelConfig(
@@ -141,15 +142,19 @@ def _from_zoo(entry: zoo.ZooEntry, heads: int | None) -> Describer:
 def _filled(config: ModelConfig, weights: Mapping[str, Tensor], *, source: Path) -> Describer:
     try:
         model = build(config)
-    except (ModelError, RuntimeError) as error:
-        raise WeightsError(f"{source}: {error}") from error
+    except (ModelError, RuntimeError, TypeError, ValueError) as error:  # a damaged file asks for anything
+        raise WeightsError(f"{source} does not describe a model that can be built: {error}") from error
     wanted, given = model.state_dict(), dict(weights)
     missing, unknown = sorted(wanted.keys() - given.keys()), sorted(given.keys() - wanted.keys())
     other = [key for key in wanted.keys() & given.keys() if wanted[key].shape != given[key].shape]
     if missing or unknown or other:
         said = [
             f"{what}: {', '.join(keys)}"
-            for what, keys in (("missing", missing), ("unknown", unknown), ("of another shape", sorted(other)))
+            for what, keys in (
+                ("missing", missing),
+                ("unknown", unknown),
+                ("of another shape", sorted(other)),
+            )
             if keys
         ]
         raise WeightsError(f"{source} does not fit the model it describes; {'; '.join(said)}")
@@ -168,10 +173,12 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
     try:
         raw: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a foreign pickle may fail in any way; none may run code
-        raise WeightsError(f"it is no file of weights that can be read safely ({type(error).__name__})") from error
+        raise WeightsError(
+            f"{path} is no file of weights that can be read safely ({type(error).__name__})"
+        ) from error
     raw = raw.get("state_dict", raw) if isinstance(raw, Mapping) else raw
     if not isinstance(raw, Mapping) or not all(isinstance(value, Tensor) for value in raw.values()):
-        raise WeightsError("it holds something else than named tensors")
+        raise WeightsError(f"{path} holds something else than named tensors")
     return {str(key): value for key, value in raw.items()}
 
 

@@ -1,0 +1,176 @@
+"""SALAD's aggregator against one that builds the 4-D tensor [batch, cluster_dim, clusters, tokens].
+
+    python benchmarks/aggregator.py [--batch 8] [--rounds 15] [--json FILE]
+
+Both have the same weights and give the same descriptors (checked first); they differ in how tokens are summed
+per cluster. Times: both ways take turns in one process, median processor time of the rounds, for the aggregator
+as a whole (nearly all of which is its perceptrons, the same in both) and for the summing alone. Memory: each way
+in a process of its own, the highest resident memory above what it was once model and inputs were there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import multiprocessing
+import platform
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from salad.config import PRESETS
+from salad.model.aggregators import Salad
+from salad.model.tokens import Tokens
+
+SEED, SIDE = 0, 23  # 529 tokens: a photo of 322 x 322 pixels
+GOAL_TIME, GOAL_MEMORY = 3.0, 1 / 5
+WAYS = ("ours", "4-D")
+
+
+def ours_summed(features: Tensor, plan: Tensor) -> Tensor:
+    """Features [B, n, l] and plan [B, m, n] -> [B, l, m], as `Salad.forward` does it."""
+    return torch.einsum("bnl,bmn->blm", features, plan)
+
+
+def naively_summed(features: Tensor, plan: Tensor) -> Tensor:
+    """The same by way of every product of a feature and a share; in the order of axes that suits it best."""
+    per_feature = features.transpose(1, 2).contiguous()
+    return (per_feature.unsqueeze(2) * plan.unsqueeze(1)).sum(-1)
+
+
+def naive(model: Salad, tokens: Tokens) -> Tensor:
+    """`Salad.forward` with the 4-D tensor."""
+    plan = model.plan(tokens)[:, :-1]
+    clusters = naively_summed(model.feature(tokens.patches), plan)
+    parts = F.normalize(model.scene(tokens.scene), dim=1), F.normalize(clusters, dim=1).flatten(1)
+    return F.normalize(torch.cat(parts, dim=1), dim=1)
+
+
+def setting(batch: int) -> tuple[Salad, Tokens]:
+    """The paper's full aggregator and tokens to feed it."""
+    torch.manual_seed(SEED)
+    config = PRESETS["full"]
+    model = Salad(config).eval()
+    patches, scene = torch.randn(batch, SIDE * SIDE, config.width), torch.randn(batch, config.width)
+    return model, Tokens(patches, scene, (SIDE, SIDE), 14)
+
+
+def times(one: Callable[[], Tensor], other: Callable[[], Tensor], *, rounds: int) -> dict[str, float]:
+    """Median milliseconds of each, taking turns so that whatever else the machine does falls on both.
+
+    It is the processor's time divided by the threads: a busy machine would only stretch the clock's.
+    """
+    seen: dict[str, list[float]] = {way: [] for way in WAYS}
+    for turn in range(rounds + 1):
+        for way, run in zip(WAYS, (one, other), strict=True):
+            begun = time.process_time()
+            run()
+            if turn:  # the first warms up
+                seen[way].append(1000 * (time.process_time() - begun) / torch.get_num_threads())
+    return {way: statistics.median(each) for way, each in seen.items()}
+
+
+def peak(way: str, batch: int, threads: int) -> float:
+    """Mebibytes that one way needs beyond model and inputs; in a fresh process, since a peak never falls."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        return pool.apply(_peak, (way, batch, threads))
+
+
+@torch.inference_mode()
+def _peak(way: str, batch: int, threads: int) -> float:
+    torch.set_num_threads(threads)
+    model, tokens = setting(batch)
+    small = Tokens(tokens.patches[:1, :81].clone(), tokens.scene[:1], (9, 9), 14)
+    run = model if way == "ours" else lambda given: naive(model, given)
+    run(small)  # brings in the libraries' code, which is nobody's tensors
+    before = _highest_resident()
+    run(tokens)
+    return max(_highest_resident() - before, 0.1)
+
+
+def _highest_resident() -> float:
+    status = Path("/proc/self/status")
+    if status.is_file():  # ru_maxrss would remember the parent's memory there
+        kibibytes = next(
+            line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM")
+        )
+        return int(kibibytes) / 2**10
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes there, kibibytes elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+@torch.inference_mode()
+def measure(*, batch: int, rounds: int) -> dict[str, dict[str, float]]:
+    """Every figure: milliseconds of the whole and of the summing, and mebibytes."""
+    model, tokens = setting(batch)
+    torch.testing.assert_close(model(tokens), naive(model, tokens), rtol=0, atol=1e-5)
+    # memory first: a parent that has grown would show in its children
+    memory = {way: peak(way, batch, torch.get_num_threads()) for way in WAYS}
+    features, plan = model.feature(tokens.patches), model.plan(tokens)[:, :-1].contiguous()
+    return {
+        "aggregator, ms": times(lambda: model(tokens), lambda: naive(model, tokens), rounds=rounds),
+        "summing alone, ms": times(
+            lambda: ours_summed(features, plan), lambda: naively_summed(features, plan), rounds=rounds
+        ),
+        "peak memory, MiB": memory,
+    }
+
+
+def machine() -> str:
+    """The processor's name."""
+    listed = Path("/proc/cpuinfo")
+    names = listed.read_text().splitlines() if listed.is_file() else []
+    found = next((line.split(":", 1)[1].strip() for line in names if line.startswith("model name")), "")
+    return found or platform.processor() or platform.machine()
+
+
+def _verdict(met: bool) -> str:
+    return "met" if met else "missed"
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    torch.set_num_threads(asked.threads)
+    figures = measure(batch=asked.batch, rounds=asked.rounds)
+    facts = {
+        "machine": machine(),
+        "threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+        "date": datetime.date.today().isoformat(),
+        "seed": SEED,
+        "batch": asked.batch,
+        "tokens": SIDE * SIDE,
+        "rounds": asked.rounds,
+    }
+    print(", ".join(f"{key} {value}" for key, value in facts.items()))
+    for what, both in figures.items():
+        ratio = both["4-D"] / both["ours"]
+        print(f"{what:18} ours {both['ours']:9.2f}   4-D {both['4-D']:9.2f}   ratio {ratio:5.1f}")
+    for what in ("aggregator, ms", "summing alone, ms"):
+        faster = figures[what]["4-D"] / figures[what]["ours"]
+        print(
+            f"{what[:-4]}: {faster:.1f} times as fast (goal {GOAL_TIME:.0f}): {_verdict(faster >= GOAL_TIME)}"
+        )
+    share = figures["peak memory, MiB"]["ours"] / figures["peak memory, MiB"]["4-D"]
+    print(f"{share:.0%} of the memory (goal {GOAL_MEMORY:.0%}): {_verdict(share <= GOAL_MEMORY)}")
+    if asked.json:
+        asked.json.write_text(json.dumps({**facts, **figures}, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

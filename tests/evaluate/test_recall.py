@@ -1,0 +1,191 @@
+"""Recall, ranking and evaluation, against definitions spelled out with loops."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from salad.data.benchmark import Benchmark
+from salad.errors import BenchmarkError, ModelError
+from salad.evaluate import evaluate, rank, recall, recall_at
+from salad.model.fake import FakeDescriber
+from salad.photos import Photo
+
+KS = (1, 2, 3, 5, 8)
+# A busy machine is no failure: no test here depends on time.
+unhurried = settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow])
+
+
+@st.composite
+def rankings(draw: st.DrawFn) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Rankings of all references, with right rows, of which some query has at least one."""
+    references, queries = draw(st.integers(1, 8)), draw(st.integers(1, 6))
+    ranked = np.array([draw(st.permutations(range(references))) for _ in range(queries)], dtype=np.int64)
+    right = [draw(st.sets(st.integers(0, references - 1))) for _ in range(queries)]
+    right[0] |= {0}
+    return ranked, [np.array(sorted(rows), dtype=np.int64) for rows in right]
+
+
+def by_hand(ranked: np.ndarray, positives: list[np.ndarray], k: int, *, drop: bool) -> float:
+    pairs = [
+        (set(row[:k].tolist()), set(right.tolist())) for row, right in zip(ranked, positives, strict=True)
+    ]
+    counted = [bool(first & right) for first, right in pairs if right or not drop]
+    return 100 * sum(counted) / len(counted)
+
+
+class TestRecallAt:
+    @unhurried
+    @given(rankings())
+    def test_against_the_definition(self, case: tuple[np.ndarray, list[np.ndarray]]) -> None:
+        for rule in ("drop", "miss"):
+            for k, percent in recall_at(*case, KS, unanswerable=rule).items():
+                assert percent == pytest.approx(by_hand(*case, k, drop=rule == "drop"))
+
+    @unhurried
+    @given(rankings())
+    def test_grows_with_k_and_ends_at_all(self, case: tuple[np.ndarray, list[np.ndarray]]) -> None:
+        percents = list(recall_at(*case, KS).values())
+        assert percents == sorted(percents)
+        assert percents[-1] == 100  # 8 is all the references there are
+
+    @unhurried
+    @given(rankings())
+    def test_a_perfect_ranking_is_100(self, case: tuple[np.ndarray, list[np.ndarray]]) -> None:
+        ranked, positives = case
+        pairs = zip(ranked, positives, strict=True)
+        perfect = [[*right, *(row for row in rows if row not in right)] for rows, right in pairs]
+        assert recall_at(perfect, positives, KS) == dict.fromkeys(KS, 100.0)
+
+    @unhurried
+    @given(rankings(), st.data())
+    def test_the_order_of_references_does_not_matter(
+        self, case: tuple[np.ndarray, list[np.ndarray]], data: st.DataObject
+    ) -> None:
+        ranked, positives = case
+        moved = np.array(data.draw(st.permutations(range(ranked.shape[1]))))
+        assert recall_at(moved[ranked], [moved[right] for right in positives], KS) == recall_at(*case, KS)
+
+    def test_padding_is_never_right(self) -> None:
+        assert recall_at(np.array([[-1, -1]]), [np.array([1])], [1, 2]) == {1: 0.0, 2: 0.0}
+
+    def test_refusals(self) -> None:
+        with pytest.raises(BenchmarkError, match="1 rankings but positives for 2"):
+            recall_at([[0]], [np.array([0]), np.array([0])])
+        with pytest.raises(BenchmarkError, match="whole numbers from 1"):
+            recall_at([[0]], [np.array([0])], [0, 1])
+        with pytest.raises(BenchmarkError, match="whole numbers from 1"):
+            recall_at([[0]], [np.array([0])], [])
+        with pytest.raises(BenchmarkError, match="none of 1 queries has a right reference"):
+            recall_at([[0]], [np.array([], dtype=np.int64)])
+        with pytest.raises(BenchmarkError, match="none of 0 queries"):
+            recall_at([], [], unanswerable="miss")
+
+    def test_all_unanswerable_may_all_be_misses(self) -> None:
+        assert recall_at([[0]], [np.array([], dtype=np.int64)], [1], unanswerable="miss") == {1: 0.0}
+
+
+small = st.integers(-3, 3)  # few values, so that scores tie often, and float32 sums them exactly
+
+
+class TestRank:
+    @unhurried
+    @given(
+        queries=st.lists(st.tuples(small, small), min_size=1, max_size=5),
+        references=st.lists(st.tuples(small, small), min_size=1, max_size=9),
+        k=st.integers(1, 12),
+        block=st.sampled_from([1, 12, 1 << 20]),
+    )
+    def test_against_a_sort_of_everything(
+        self, queries: list[tuple[int, int]], references: list[tuple[int, int]], k: int, block: int
+    ) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(recall, "_BLOCK_SCORES", block)
+            found = rank(np.array(queries, np.float32), np.array(references, np.float32), k=k)
+        for query, rows in zip(queries, found, strict=True):
+            scores = [query[0] * x + query[1] * y for x, y in references]
+            assert rows.tolist() == sorted(range(len(references)), key=lambda row: (-scores[row], row))[:k]
+        assert found.dtype == np.int64
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Benchmark:
+    """Six places photographed twice, the second time a little lighter; the last query shows none of them."""
+    rng = np.random.default_rng(0)
+    references, queries = [], []
+    for number in range(6):
+        pixels = rng.integers(0, 200, (4, 4, 3), dtype=np.uint8)
+        for side, gain in ((references, 0), (queries, 30)):
+            path = tmp_path / f"{'rq'[side is queries]}{number}.png"
+            Image.fromarray(pixels + np.uint8(gain)).resize((40, 40)).save(path)
+            side.append(Photo(path))
+    positives = [np.array([number]) for number in range(5)] + [np.array([], dtype=np.int64)]
+    return Benchmark("drive", "frames ±0", tuple(references), tuple(queries), tuple(positives), ("a note",))
+
+
+class Broken(FakeDescriber):
+    """Says one dimension and gives another, or numbers that are none."""
+
+    def describe(self, photos: Any, *, batch_size: int = 16) -> Any:
+        described = super().describe(photos, batch_size=batch_size)
+        return described[:, 1:] if self.name == "short" else described * np.nan
+
+
+class TestEvaluate:
+    def test_the_whole_road(self, drive: Benchmark) -> None:
+        seen: list[tuple[int, int]] = []
+        result = evaluate(
+            drive,
+            FakeDescriber(),
+            ks=(1, 5, 99),
+            batch_size=5,
+            progress=lambda done, total: seen.append((done, total)),
+        )
+        assert result.recall == {1: 100.0, 5: 100.0, 99: 100.0}
+        assert seen == [(5, 12), (10, 12), (12, 12)]
+        assert (result.benchmark, result.notes) == ("drive", ("a note",))
+
+    def test_json(self, drive: Benchmark) -> None:
+        shown = json.loads(json.dumps(evaluate(drive, FakeDescriber()).as_dict(), allow_nan=False))
+        assert shown.pop("seconds") >= 0
+        assert shown == {
+            "protocol": "frames ±0",
+            "queries": 6,
+            "references": 6,
+            "unanswerable": 1,
+            "recall": {"1": 100.0, "5": 100.0, "10": 100.0, "20": 100.0},
+            "model": "fake",
+        }
+
+    def test_misses_are_named_in_the_protocol(self, drive: Benchmark) -> None:
+        result = evaluate(drive, FakeDescriber(), ks=(1,), unanswerable="miss")
+        assert result.recall[1] == pytest.approx(500 / 6)
+        assert result.protocol == "frames ±0, unanswerable queries count as misses"
+
+    def test_batches_do_not_matter(self, drive: Benchmark) -> None:
+        recalls = [evaluate(drive, FakeDescriber(dim=2), batch_size=size).recall for size in (1, 7, 64)]
+        assert recalls[0] == recalls[1] == recalls[2]
+
+    def test_a_photo_that_cannot_be_read(self, drive: Benchmark) -> None:
+        drive.queries[3].path.write_bytes(b"not an image")
+        with pytest.raises(BenchmarkError, match=r"no figure.*q3\.png"):
+            evaluate(drive, FakeDescriber())
+
+    @pytest.mark.parametrize("name", ["short", "nan"])
+    def test_a_broken_model(self, drive: Benchmark, name: str) -> None:
+        with pytest.raises(ModelError, match=f"'{name}' gave"):
+            evaluate(drive, Broken(name=name))
+
+    def test_refused_before_anything_is_described(self, drive: Benchmark) -> None:
+        nothing = tuple(np.array([], dtype=np.int64) for _ in drive.queries)
+        hopeless = Benchmark("x", "p", drive.references, drive.queries, nothing)
+        for case, ks in ((hopeless, (1,)), (drive, (0,))):
+            with pytest.raises(BenchmarkError):
+                evaluate(case, FakeDescriber(), ks=ks, progress=lambda *_: pytest.fail("it began"))
