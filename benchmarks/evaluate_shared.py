@@ -22,7 +22,7 @@ from typing import Any
 
 from salad.data.benchmark import Benchmark, from_frames, from_radius, from_truth
 from salad.errors import SaladError
-from salad.evaluate import Result, evaluate
+from salad.evaluation import Result, evaluate
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED = 0  # nothing here is drawn at random but the unused head of the untrained model

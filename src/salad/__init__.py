@@ -16,29 +16,29 @@ from salad._version import __version__
 
 if TYPE_CHECKING:
     from salad.errors import SaladError
-    from salad.evaluate import evaluate
+    from salad.evaluation import evaluate
     from salad.geo import GeoPoint
     from salad.index import Index, Match
     from salad.index.build import index_photos
-    from salad.locate import Answer, Place, locate, locate_many
+    from salad.place import Answer, Place, locate, locate_many
     from salad.model.describer import Describer
     from salad.model.weights import load
     from salad.photos import Photo
 
 _HOMES = {
-    "Answer": "salad.locate",
+    "Answer": "salad.place",
     "Describer": "salad.model.describer",
     "GeoPoint": "salad.geo",
     "Index": "salad.index",
     "Match": "salad.index",
     "Photo": "salad.photos",
-    "Place": "salad.locate",
+    "Place": "salad.place",
     "SaladError": "salad.errors",
-    "evaluate": "salad.evaluate",
+    "evaluate": "salad.evaluation",
     "index_photos": "salad.index.build",
     "load": "salad.model.weights",
-    "locate": "salad.locate",
-    "locate_many": "salad.locate",
+    "locate": "salad.place",
+    "locate_many": "salad.place",
 }
 
 __all__ = [

@@ -6,13 +6,15 @@ Nothing here imports torch, so a command line can read, print and check a config
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from salad.errors import ModelError
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+Resample = Literal["bilinear", "bicubic"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ class Preprocessing:
     width: int = 322
     mean: tuple[float, float, float] = IMAGENET_MEAN
     std: tuple[float, float, float] = IMAGENET_STD
-    resample: Literal["bilinear", "bicubic"] = "bilinear"
+    resample: Resample = "bilinear"
 
 
 BackboneConfig = ViTConfig | LiteConfig
@@ -170,10 +172,15 @@ def _part(kinds: dict[str, Any], settings: dict[str, Any]) -> Any:
 
 def _preprocessing(settings: dict[str, Any]) -> Preprocessing:
     plain = dict(settings)
-    mean, std = (tuple(float(x) for x in plain.pop(key)) for key in ("mean", "std"))
-    if len(mean) != 3 or len(std) != 3 or min(std) <= 0:
+    mean, std = (tuple(plain.pop(key)) for key in ("mean", "std"))
+    if len(mean) != 3 or len(std) != 3 or not min(std) > 0 or not all(map(math.isfinite, mean + std)):
         raise ValueError("mean and std need three numbers each, std above 0")
-    return Preprocessing(mean=mean, std=std, **plain)  # type: ignore[arg-type]  # three, as was just checked
+    found = Preprocessing(mean=mean, std=std, **plain)
+    if not all(isinstance(side, int) and side > 0 for side in (found.height, found.width)):
+        raise ValueError("height and width are whole pixels, at least 1")
+    if found.resample not in get_args(Resample):
+        raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
+    return found
 
 
 BACKBONE_KINDS: dict[str, Any] = {"vit": ViTConfig, "lite0": LiteConfig}

@@ -12,7 +12,7 @@ from salad.data.town import Town
 from salad.demo import DemoResult, Judged
 from salad.geo import GeoPoint, shifted
 from salad.index import Match
-from salad.locate import Answer, Place
+from salad.place import Answer, Place
 from salad.photos import Photo, save_jpeg
 
 HERE = GeoPoint(47.5, 64.5)

@@ -18,7 +18,7 @@ from salad.demo.report import table
 from salad.demo.result import WITHIN_M, DemoResult, Judged
 from salad.errors import StoreError
 from salad.index import Index, index_photos
-from salad.locate import Answer, locate_many
+from salad.place import Answer, locate_many
 
 if TYPE_CHECKING:
     from salad.model.describer import Describes

@@ -11,7 +11,7 @@ from typing import Literal
 from salad.data.town import Town
 from salad.geo import GeoPoint, metres_between
 from salad.index import Match
-from salad.locate import Answer
+from salad.place import Answer
 
 WITHIN_M = 25.0
 """An answer so close to the truth is right: the field's own measure."""

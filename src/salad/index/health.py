@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,10 @@ class IndexInfo:
     created: datetime
     box: Box | None
     format_version: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """These facts as JSON holds them."""
+        return {**asdict(self), "created": self.created.isoformat()}
 
 
 def box(positions: Sequence[tuple[float, float]]) -> Box | None:

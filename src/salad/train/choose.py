@@ -15,7 +15,7 @@ from salad.data.places import TrainingPlace
 from salad.model.describer import Describer
 from salad.photos import open_rgb, squeeze
 
-REFERENCES, QUERIES = 2, 4  # of each place: its oldest photos and its newest
+REFERENCES, QUERIES = 2, 8  # of each place: its oldest photos and its newest
 
 
 class Shelf:
@@ -42,7 +42,8 @@ def recall_held_out(model: Describer, places: Sequence[TrainingPlace], shelf: Sh
     references = [(path, place) for place in places for path in place.photos[:REFERENCES]]
     queries = [(path, place) for place in places for path in place.photos[REFERENCES:][-QUERIES:]]
     known, asked = (
-        model.describe([shelf.array(path) for path, _ in side], batch_size=32) for side in (references, queries)
+        model.describe([shelf.array(path) for path, _ in side], batch_size=32)
+        for side in (references, queries)
     )
     best = (asked @ known.T).argmax(axis=1)
     right: dict[str, list[bool]] = defaultdict(list)

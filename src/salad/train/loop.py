@@ -7,6 +7,7 @@ interrupted ends as it would have.
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +18,6 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from salad.data.places import TrainingPlace, View, batches, split
 from salad.errors import MissingExtraError, ModelError
@@ -26,7 +26,7 @@ from salad.model.weights import write_folder
 from salad.train.augment import augmentation
 from salad.train.choose import Shelf, recall_held_out
 from salad.train.objective import multi_similarity
-from salad.train.recipe import Preset, Recipe
+from salad.train.recipe import Precision, Preset, Recipe
 from salad.train.start import start_backbone
 
 Say = Callable[[str], None]
@@ -70,8 +70,7 @@ def train(
     to.mkdir(parents=True, exist_ok=True)
     run = _Run(model, recipe, learn, choose, folder=to, accelerator=accelerator, say=say)
     run.steps()
-    trained = run.average.module if recipe.average else model
-    return write_folder(trained.cpu().eval(), to / MODEL, dtype=torch.float16, overwrite=True)
+    return write_folder(run.average.cpu().eval(), to / MODEL, dtype=torch.float16, overwrite=True)
 
 
 class _Run:
@@ -93,7 +92,7 @@ class _Run:
         self.fabric = _fabric(accelerator, recipe.precision)
         size = model.preprocessing.height, model.preprocessing.width
         self.augment, self.objective, self.shelf = augmentation(*size), multi_similarity(), Shelf(model)
-        self.average = AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(recipe.average))
+        self.average = copy.deepcopy(model)
         self.step, self.began = 0, time.monotonic()
 
     def steps(self) -> None:
@@ -117,7 +116,10 @@ class _Run:
         if saved:
             self.model.load_state_dict(saved["model"])
             self.average.load_state_dict(saved["average"])
-            optimizer.load_state_dict(saved["optimizer"])
+            if (
+                saved["step"] > first
+            ):  # a stage just ended hands no optimizer on: the next trains other weights
+                optimizer.load_state_dict(saved["optimizer"])
             self.step = saved["step"]
             self.say(f"going on from step {self.step}")
         feed = batches(
@@ -146,8 +148,17 @@ class _Run:
         nn.utils.clip_grad_norm_(module.parameters(), 1.0)
         optimizer.step()
         optimizer.zero_grad()
-        self.average.update_parameters(self.model)
+        self._average()
         return float(loss.detach())
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        """Keep a running mean of the weights: it wanders less than the weights of any one step."""
+        decay = min(
+            self.recipe.average, self.step / (self.step + 10)
+        )  # a young mean forgets its start sooner
+        for mean, weight in zip(self.average.parameters(), self.model.parameters(), strict=True):
+            mean.lerp_(weight, 1 - decay)
 
     def _views(self, batch: Sequence[View]) -> Float[Tensor, "batch 3 height width"]:
         photos = self.shelf.photos([view.path for view in batch]).to(self.fabric.device)
@@ -165,8 +176,7 @@ class _Run:
             "seconds": round(time.monotonic() - self.began, 1),
         }
         if self.choose:
-            judged = self.average.module if self.recipe.average else self.model
-            told["held_out_r1"] = recall_held_out(judged, self.choose, self.shelf)
+            told["held_out_r1"] = recall_held_out(self.average, self.choose, self.shelf)
         with (self.folder / LOG).open("a", encoding="utf-8") as log:
             log.write(json.dumps(told) + "\n")
         self.say(json.dumps(told))
@@ -216,7 +226,7 @@ def _trained(part: nn.Module) -> Iterator[nn.Parameter]:
     return (weight for weight in part.parameters() if weight.requires_grad)
 
 
-def _fabric(accelerator: str, precision: str) -> Any:
+def _fabric(accelerator: str, precision: Precision) -> Any:
     try:
         from lightning_fabric import Fabric
     except ImportError as error:

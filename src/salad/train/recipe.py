@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Precision = Literal["bf16-mixed", "16-mixed", "32-true"]
 
 from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig, ViTConfig
+from salad.errors import ModelError
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +46,7 @@ class Recipe:
     tuned_blocks: int = 4
     held_out: float = 0.2
     measure_every: int = 50
-    precision: str = "bf16-mixed"
+    precision: Precision = "bf16-mixed"
     seed: int = 0
 
 
@@ -70,7 +74,9 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-vits",
             backbone=ViTConfig(width=384, depth=9, heads=6),
-            aggregator=SaladConfig(width=384, clusters=32, cluster_dim=64, scene_dim=128, hidden=256, dropout=0.0),
+            aggregator=SaladConfig(
+                width=384, clusters=32, cluster_dim=64, scene_dim=128, hidden=256, dropout=0.0
+            ),
             preprocessing=Preprocessing(height=224, width=224),
         ),
         start="",  # a file given with --start
@@ -78,3 +84,14 @@ PRESETS: dict[str, Preset] = {
     ),
 }
 """`salad-lite` is the model that ships; `salad-vits` is what it was measured against."""
+
+
+def preset(name: str) -> Preset:
+    """Look a preset up.
+
+    Raises:
+        ModelError: there is none of that name.
+    """
+    if name not in PRESETS:
+        raise ModelError(f"there is no preset {name!r}: choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -18,7 +18,7 @@ def start_backbone(model: Describer, start: str) -> None:
     """Fill the backbone from `start`: `imagenet`, a file with its names, or nothing for an untrained one.
 
     Raises:
-        WeightsError: the file lacks a tensor of the backbone.
+        WeightsError: the file lacks a tensor of the backbone, or has one of another shape.
         MissingExtraError: the package that brings the ImageNet weights is not installed.
     """
     if not start:
@@ -28,6 +28,9 @@ def start_backbone(model: Describer, start: str) -> None:
     missing = sorted(wanted.keys() - given.keys() - OF_THE_LAST_NORM)
     if missing:
         raise WeightsError(f"{start} lacks tensors of the backbone: {', '.join(missing[:5])}")
+    other = sorted(key for key in wanted.keys() & given.keys() if wanted[key].shape != given[key].shape)
+    if other:
+        raise WeightsError(f"{start} is of another backbone; of another shape: {', '.join(other[:5])}")
     own: dict[str, Tensor] = {key: given.get(key, wanted[key]).to(torch.float32) for key in wanted}
     model.backbone.load_state_dict(own)
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 from salad.data.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
-from salad.evaluate import evaluate, rank, recall, recall_at
+from salad.evaluation import evaluate, rank, recall, recall_at
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo
 

@@ -16,8 +16,8 @@ from PIL import Image
 from salad.errors import PhotoError, WrongModelError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.index import Index, Match, index_photos
-from salad.locate import Answer, Place, locate, locate_many, vote
-from salad.locate.place import RADIUS_M, _ballots, _groups
+from salad.place import Answer, Place, locate, locate_many, vote
+from salad.place.voting import RADIUS_M, _ballots, _groups
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo
 
