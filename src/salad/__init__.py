@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from salad.geo import GeoPoint
     from salad.index import Index, Match
     from salad.index.build import index_photos
-    from salad.place import Answer, Place, locate, locate_many
     from salad.model.describer import Describer
     from salad.model.weights import load
     from salad.photos import Photo
+    from salad.place import Answer, Place, locate, locate_many
 
 _HOMES = {
     "Answer": "salad.place",

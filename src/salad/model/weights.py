@@ -6,7 +6,6 @@ Our own format is a folder that knows its own shape: `model.safetensors` beside 
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -107,8 +106,8 @@ def write_folder(
             text = json.dumps({"format": FORMAT, **model.config.as_dict()}, indent=2) + "\n"
             (draft / CONFIG).write_text(text, encoding="utf-8")
             if folder.exists():
-                os.replace(folder, Path(beside) / "old")
-            os.replace(draft, folder)
+                folder.rename(Path(beside) / "old")
+            draft.rename(folder)
     except (OSError, SafetensorError) as error:
         raise WeightsError(f"the model cannot be written to {folder}: {error}") from error
     return folder

@@ -116,9 +116,7 @@ class _Run:
         if saved:
             self.model.load_state_dict(saved["model"])
             self.average.load_state_dict(saved["average"])
-            if (
-                saved["step"] > first
-            ):  # a stage just ended hands no optimizer on: the next trains other weights
+            if saved["step"] > first:  # at a stage's end its optimizer is done: the next trains other weights
                 optimizer.load_state_dict(saved["optimizer"])
             self.step = saved["step"]
             self.say(f"going on from step {self.step}")

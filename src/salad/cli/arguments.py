@@ -1,0 +1,41 @@
+"""Arguments that several commands share: their types, and their words in the help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from salad.errors import SaladError
+
+SHIPPED = "salad-lite"  # the model in the package, which needs no download
+
+Photos = Annotated[
+    Positional[tuple[str, ...]],
+    arg(
+        metavar="PHOTOS",
+        help="Files, folders (walked), or - for a list on stdin.",
+        help_behavior_hint="(one or more)",
+    ),
+]
+IndexFolder = Annotated[Positional[Path], arg(metavar="INDEX", help="The index: a folder.")]
+# What each of these means where it is not given is said in words, not as "(default: None)".
+ModelName = Annotated[str | None, arg(metavar="NAME|DIR|FILE", help_behavior_hint="")]
+Table = Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="")]
+Number = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
+Metres = Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")]
+Share = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")]
+File = Annotated[str | None, arg(metavar="FILE", help_behavior_hint="")]
+Form = Annotated[Literal["table", "json"], arg(help="For people or for programs.")]
+
+
+def positive(number: int, what: str) -> int:
+    """The number, which must be one.
+
+    Raises:
+        SaladError: It is 0 or less.
+    """
+    if number < 1:
+        raise SaladError(f"{what} {number} is too few: give 1 or more")
+    return number

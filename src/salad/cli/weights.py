@@ -1,0 +1,108 @@
+"""`salad weights`: which models there are, and getting them onto this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg, subcommand
+
+from salad.cli import shell
+from salad.cli.arguments import Form, Number
+
+Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")]
+
+
+@dataclass(frozen=True)
+class List:
+    """List the models of the zoo."""
+
+    format: Form = "table"
+
+    def run(self) -> int:
+        """List."""
+        from salad.model import zoo
+
+        rows = [(entry, zoo.path_of(entry.name).exists()) for entry in zoo.ZOO.values()]
+        if self.format == "json":
+            shell.put_json(
+                [{"name": e.name, "here": here, "licence": e.licence, "note": e.note} for e, here in rows]
+            )
+            return shell.FOUND
+        from rich.table import Table
+
+        table = Table("name", "here", "licence", "note", box=None, pad_edge=False, header_style="bold")
+        for entry, here in rows:
+            table.add_row(entry.name, "yes" if here else "no", entry.licence, entry.note)
+        shell.put_table(table)
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say everything the zoo knows of a model."""
+
+    name: Name
+
+    def run(self) -> int:
+        """Tell."""
+        from dataclasses import asdict
+
+        from salad.model import zoo
+
+        entry, path = zoo.entry(self.name), zoo.path_of(self.name)
+        told = {key: value for key, value in asdict(entry).items() if value is not None}
+        shell.facts(told | {"path": path, "here": "yes" if path.exists() else "no"})
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class Fetch:
+    """Fetch a model's weights; goes on where an interrupted download stopped."""
+
+    name: Name
+
+    def run(self) -> int:
+        """Fetch."""
+        from salad.model import zoo
+
+        shell.say(f"{self.name}: {zoo.entry(self.name).licence}")
+        with shell.progress(f"fetching {self.name}") as bar:
+            path = zoo.fetch(self.name, progress=bar)
+        shell.put(str(path))
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Turn a published file into a folder of our own format."""
+
+    file: Annotated[Positional[Path], arg(metavar="FILE", help="The published file.")]
+    to: Path
+    """The folder to make."""
+    heads: Number = None
+    """Attention heads, where not width / 64: no file says them."""
+
+    def run(self) -> int:
+        """Convert."""
+        from salad.model.weights import load, write_folder
+
+        shell.put(str(write_folder(load(self.file, heads=self.heads), self.to)))
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class Weights:
+    """See which models there are, and get them onto this machine."""
+
+    command: (
+        Annotated[List, subcommand("list")]
+        | Annotated[Info, subcommand("info")]
+        | Annotated[Fetch, subcommand("fetch")]
+        | Annotated[Convert, subcommand("convert")]
+    )
+
+    def run(self) -> int:
+        """Pass on."""
+        return self.command.run()

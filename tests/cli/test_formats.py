@@ -1,0 +1,183 @@
+"""What `salad locate` writes, read back by what reads it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+
+import salad
+from salad.cli import formats
+from salad.geo import GeoPoint, metres_between
+from salad.photos import Photo
+
+HERE = GeoPoint(48.1, 11.5)
+NAMES = [
+    "a [red] wall.jpg",
+    "東京 (1).jpg",
+    "me@home.jpg",
+    "[bold]b[oops].jpg",
+    'say "cheese", now.jpg',
+    "شارع.jpg",
+]
+
+
+def answer(name: str, where: GeoPoint | None = HERE, *, radius_m: float = 25.0) -> salad.Answer:
+    """A photo whose best match stands at `where`; unknown where that is None."""
+    photo = (
+        Photo(Path("/photos") / name, where, 90.0, datetime(2024, 5, 1, 12))
+        if where
+        else Photo(Path("/photos") / name)
+    )
+    place = salad.Place(where, radius_m, 0.75, 1) if where else None
+    return salad.Answer(Path("queries") / name, place, [salad.Match(photo, 0.9, 0)])
+
+
+quick = settings(deadline=None, max_examples=40)
+points = st.builds(
+    GeoPoint,
+    st.floats(-89.9, 89.9),
+    st.floats(-180, 180),
+)
+
+
+def signed_area(ring: list[list[float]]) -> float:
+    """Positive where the ring runs counter-clockwise."""
+    return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in pairwise(ring)) / 2
+
+
+# --- GeoJSON -------------------------------------------------------------------------------
+
+
+@quick
+@given(where=points, radius_m=st.floats(1, 5000))
+def test_geojson_draws_the_place_and_its_radius(where: GeoPoint, radius_m: float) -> None:
+    told = json.loads(formats.as_geojson([answer("a.jpg", where, radius_m=radius_m)]))
+    assert told["type"] == "FeatureCollection"
+    point, circle = told["features"]
+    assert point["geometry"] == {"type": "Point", "coordinates": [where.lon, where.lat]}
+    assert point["properties"]["radius_m"] == radius_m
+    (ring,) = circle["geometry"]["coordinates"]
+    assert ring[0] == ring[-1]
+    assert len(ring) > 8
+    middle = [[lon - where.lon, lat - where.lat] for lon, lat in ring]
+    assert all(abs(lon) <= 180 for lon, _ in middle)  # it does not jump round the earth at the date line
+    for lon, lat in ring:
+        corner = GeoPoint(lat, (lon + 180) % 360 - 180)
+        assert metres_between(where, corner) == pytest.approx(radius_m, rel=1e-3, abs=1e-3)
+
+
+@quick
+@given(where=st.builds(GeoPoint, st.floats(-80, 80), st.floats(-180, 180)))
+def test_a_ring_runs_counter_clockwise(where: GeoPoint) -> None:
+    told = json.loads(formats.as_geojson([answer("a.jpg", where)]))
+    (ring,) = told["features"][1]["geometry"]["coordinates"]
+    centred = [[lon - where.lon, lat - where.lat] for lon, lat in ring]
+    assert signed_area(centred) > 0
+
+
+def test_geojson_of_an_unknown_place_has_no_geometry() -> None:
+    told = json.loads(formats.as_geojson([answer("a.jpg", None), answer("b.jpg")]))
+    assert [(feature["geometry"] or {}).get("type") for feature in told["features"]] == [
+        None,
+        "Point",
+        "Polygon",
+    ]
+    assert told["features"][0]["properties"] == {"query": str(Path("queries/a.jpg")), "kind": "unknown"}
+    assert all(feature["type"] == "Feature" for feature in told["features"])
+
+
+def test_geojson_of_nothing_is_an_empty_collection() -> None:
+    assert json.loads(formats.as_geojson([])) == {"type": "FeatureCollection", "features": []}
+
+
+# --- CSV and JSON --------------------------------------------------------------------------
+
+
+@quick
+@given(
+    names=st.lists(st.text(st.characters(exclude_characters="/\0\r", exclude_categories=("Cs",)), min_size=1))
+)
+def test_csv_parses_back(names: list[str]) -> None:
+    answers = [answer(name, HERE if number % 2 else None) for number, name in enumerate(names)]
+    rows = list(csv.DictReader(io.StringIO(formats.as_csv(answers), newline="")))
+    assert [row["query"] for row in rows] == [str(one.query) for one in answers]
+    assert [row["best_match"] for row in rows] == [str(one.matches[0].photo.path) for one in answers]
+    for row, one in zip(rows, answers, strict=True):
+        if one.place:
+            assert (float(row["lat"]), float(row["lon"])) == (HERE.lat, HERE.lon)
+            assert (float(row["radius_m"]), float(row["confidence"]), int(row["support"])) == (25, 0.75, 1)
+        else:
+            assert {row[column] for column in ("lat", "lon", "radius_m", "confidence", "support")} == {""}
+
+
+def test_csv_without_a_match_leaves_it_empty() -> None:
+    (row,) = csv.DictReader(io.StringIO(formats.as_csv([salad.Answer(Path("a.jpg"), None, [])])))
+    assert list(row.values()) == ["a.jpg", *[""] * 7]
+
+
+def test_json_keeps_names_readable() -> None:
+    text = formats.as_json([answer(name) for name in NAMES])
+    assert [one["query"] for one in json.loads(text)] == [str(Path("queries") / name) for name in NAMES]
+    assert "東京" in text
+    assert "شارع" in text
+
+
+def test_json_of_an_unknown_place_is_null() -> None:
+    (told,) = json.loads(formats.as_json([answer("a.jpg", None)]))
+    assert told["place"] is None
+    assert [told["matches"][0][key] for key in ("lat", "lon", "heading", "time")] == [None] * 4
+
+
+# --- the table -----------------------------------------------------------------------------
+
+
+def drawn(answers: list[Any], width: int = 300) -> str:
+    console = Console(width=width, file=io.StringIO(), force_terminal=False)
+    console.print(formats.as_table(answers))
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_table_shows_names_as_they_are() -> None:
+    lines = drawn([answer(name) for name in NAMES]).splitlines()
+    assert lines[0].split() == ["photo", "place", "within", "confidence", "looks", "like"]
+    for name, line in zip(NAMES, lines[1:], strict=True):
+        assert line.startswith(name)
+        assert f"{name} (0.90)" in line
+        assert "48.100000, 11.500000" in line
+        assert "25 m" in line
+
+
+def test_the_table_says_unknown_and_no_match() -> None:
+    (_, line) = drawn([salad.Answer(Path("a.jpg"), None, [])]).splitlines()
+    assert line.split("  ")[0] == "a.jpg"
+    assert "unknown" in line
+    assert "no match" in line
+
+
+@quick
+@given(name=st.text(st.characters(exclude_characters="/\0"), min_size=1))
+def test_no_name_can_steer_a_terminal(name: str) -> None:
+    lines = drawn([answer(name)]).split("\n")
+    assert len(lines) == 3  # header, photo, and what follows the last line break
+    assert lines[1].rstrip().isprintable()
+    assert "\udc80" not in lines[1]
+
+
+def test_a_narrow_terminal_shortens_names_and_keeps_the_place() -> None:
+    name = "@0543256.96@4178906.70@10@S@037.75643@-122.50886@kzVnDf2Yo0DDmbrG@@60@@@@201311@@.jpg"
+    lines = drawn([answer(name)], width=80).splitlines()
+    assert len(lines) == 2
+    assert all(len(line) <= 80 for line in lines)
+    assert "48.100000, 11.500000" in lines[1]
+    assert math.isclose(25, float(lines[1].split(" m")[0].split()[-1]))

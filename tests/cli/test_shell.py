@@ -1,0 +1,208 @@
+"""The manners of the command line: help, streams, exit codes; in this process and as a process of its own."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.table import Table
+
+from salad import __version__
+from salad.cli import COMMANDS, main, run, shell
+
+SUBCOMMANDS = [
+    *([name] for name in COMMANDS),
+    *(["weights", name] for name in ("list", "info", "fetch", "convert")),
+]
+
+
+def process(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """`salad ARGUMENTS` as a process of its own."""
+    command = [sys.executable, "-m", "salad.cli", *arguments]
+    return subprocess.run(command, capture_output=True, encoding="utf-8", check=False, **options)
+
+
+# --- help ----------------------------------------------------------------------------------
+
+
+def test_help_names_every_command(cli: Any) -> None:
+    ran = cli("--help")
+    assert (ran.code, ran.err) == (0, "")
+    for name in COMMANDS:
+        assert f"• {name} " in ran.out
+
+
+@pytest.mark.parametrize("command", SUBCOMMANDS, ids=" ".join)
+def test_every_command_has_help(cli: Any, command: list[str]) -> None:
+    ran = cli(*command, "--help")
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out.startswith(f"usage: salad {' '.join(command)} ")
+    assert "None" not in ran.out  # what is left out is told in words
+    assert "(default: )" not in ran.out
+
+
+def test_help_loads_no_torch() -> None:
+    script = (
+        "import sys, salad.cli\n"
+        "for line in (['--help'], ['locate', '--help'], ['weights', '--help']):\n"
+        "    try: salad.cli.run(line)\n"
+        "    except SystemExit as left: assert left.code == 0\n"
+        "heavy = {'torch', 'PIL', 'lightning_fabric', 'kornia', 'scipy'} & set(sys.modules)\n"
+        "sys.exit(f'loaded: {heavy}' if heavy else 0)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, encoding="utf-8", check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "usage: salad" in ran.stdout
+
+
+def test_the_version_is_told(cli: Any) -> None:
+    assert cli("--version").out == f"salad {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["nope"],
+        ["weights"],
+        ["info"],
+        ["locate", "a.jpg"],
+        ["index", "a.jpg", "--too", "x"],
+        ["info", "a", "b"],
+    ],
+    ids=" ".join,
+)
+def test_a_command_line_that_makes_no_sense_is_bad_input(cli: Any, arguments: list[str]) -> None:
+    ran = cli(*arguments)
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.err
+    assert "Traceback" not in ran.err
+
+
+# --- leaving -------------------------------------------------------------------------------
+
+
+def test_main_leaves_with_the_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["info", str(tmp_path)])
+    assert left.value.code == 2
+    assert "is not an index" in capsys.readouterr().err
+
+
+def test_main_reads_the_process_s_arguments(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["salad", "--version"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 0
+    assert capsys.readouterr().out == f"salad {__version__}\n"
+
+
+def test_an_interrupt_is_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("salad.index.Index.open", interrupt)
+    assert run(["info", "x"]) == 130
+    assert capsys.readouterr().err.startswith("salad: interrupted")
+
+
+def test_an_error_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def bug(*_: Any) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("salad.index.Index.open", bug)
+    with pytest.raises(ZeroDivisionError):
+        run(["info", "x"])
+
+
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "salad.cli", "weights", "list"]
+    ran = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, encoding="utf-8", check=False)
+    os.close(writing)
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def test_names_of_any_script_come_out_whatever_the_system_s_habit(tmp_path: Path) -> None:
+    environment = {
+        **os.environ,
+        "PYTHONIOENCODING": "ascii",
+        "PYTHONUTF8": "0",
+        "SALAD_HOME": str(tmp_path / "東京"),
+    }
+    ran = process("weights", "info", "megaloc", env=environment)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert str(tmp_path / "東京") in ran.stdout
+
+
+def test_a_name_that_is_no_text_passes_through(tmp_path: Path) -> None:
+    environment = {**os.environb, b"SALAD_HOME": os.fsencode(tmp_path) + b"/\xff"}
+    ran = process("weights", "info", "megaloc", env=environment)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "/\\udcff/" in ran.stdout
+
+
+# --- streams -------------------------------------------------------------------------------
+
+
+def test_a_list_on_stdin_may_hold_any_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = io.TextIOWrapper(
+        io.BytesIO("東京 1.jpg\r\n\n b .jpg\n".encode() + b"\xff.jpg\nlast.jpg"), encoding="ascii"
+    )
+    monkeypatch.setattr(sys, "stdin", given)
+    shell.settle_streams()
+    assert list(shell.listed(["first.jpg", "-", "end"])) == [
+        *("first.jpg", "東京 1.jpg", " b .jpg", "\udcff.jpg", "last.jpg", "end")
+    ]
+
+
+def test_facts_are_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    shell.facts({"with_position": 3, "box": None, "at": (48.1234567891, 11.5), "note": "[red] a"})
+    assert capsys.readouterr().out.splitlines() == [
+        "with position  3",
+        "box            none",
+        "at             48.123457, 11.5",
+        "note           [red] a",
+    ]
+
+
+def test_no_facts_are_no_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    shell.facts({})
+    assert capsys.readouterr().out == ""
+
+
+def test_a_piped_table_is_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    table = Table("name", box=None)
+    table.add_row("x" * 700)
+    shell.put_table(table)
+    assert "x" * 700 in capsys.readouterr().out
+
+
+def test_progress_is_silent_where_nobody_watches(capsys: pytest.CaptureFixture[str]) -> None:
+    with shell.progress("indexing") as bar:
+        bar(1, 2)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_progress_is_drawn_on_stderr_for_who_watches(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as a terminal would
+    with shell.progress("indexing") as bar:
+        bar(0, None)
+        bar(1, 2)
+        bar(2, 2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "indexing" in err
+    assert "2/2" in err
