@@ -1,4 +1,4 @@
-"""Choosing by held-out places: recall by hand, photos read once."""
+"""Choosing by held-out places: precision by hand, photos read once."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from salad.config import Preprocessing
 from salad.data.places import TrainingPlace
 from salad.errors import PhotoError
 from salad.train import choose
-from salad.train.choose import Shelf, recall_held_out
+from salad.train.choose import Shelf, average_precision, precision_held_out
 
 
 class ByRedness:
@@ -42,27 +44,40 @@ def model() -> Any:
     return ByRedness()
 
 
-def test_recall_by_hand(tmp_path: Path, model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choose, "QUERIES", 4)
+def test_precision_by_hand(tmp_path: Path, model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choose, "QUERIES", 1)
     places = [
-        _place(
-            tmp_path, "x", "dark", [10, 12, 11, 200, 14, 13]
-        ),  # one of four queries looks like another place
-        _place(tmp_path, "x", "bright", [200, 202, 201, 205]),
-        _place(
-            tmp_path, "y", "dark", [60, 60, 12, 61, 62, 63, 12]
-        ),  # the newest four are asked, one of them wrong
+        _place(tmp_path, "x", "a", [10, 50, 12]),  # 12 is asked: 10, then the stranger 15, then 50
+        _place(tmp_path, "y", "b", [15, 200, 202]),  # 202 is asked: 200, then 50, then 15
     ]
-    recall = recall_held_out(model, places, Shelf(model))
-    assert recall == {"x": 83.3, "y": 75.0, "mean": 79.15}
+    precision = precision_held_out(model, places, Shelf(model))
+    assert precision == {"x": 83.33, "y": 83.33, "mean": 83.33}  # (1/1 + 2/3) / 2 for both
+
+
+def test_the_newest_photos_are_asked(tmp_path: Path, model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choose, "QUERIES", 2)
+    places = [
+        _place(tmp_path, "x", "a", [100, 10, 11]),  # the oldest would find a stranger first
+        _place(tmp_path, "y", "b", [101, 240, 241]),
+    ]
+    # 10 finds 11, 100: all right. 240 finds 241, then (nearer than 101? no) 101 before 100: all right
+    assert precision_held_out(model, places, Shelf(model))["mean"] == 100.0
 
 
 def test_places_of_one_name_in_two_cities_are_two(tmp_path: Path, model: Any) -> None:
     places = [
-        _place(tmp_path, "x", "a", [10, 10, 100, 100]),
-        _place(tmp_path, "y", "a", [100, 100, 10, 10]),
+        _place(tmp_path, "x", "a", [10, 100]),
+        _place(tmp_path, "y", "a", [101, 11]),
     ]
-    assert recall_held_out(model, places, Shelf(model))["mean"] == 0.0
+    precision = precision_held_out(model, places, Shelf(model))
+    assert precision["mean"] < 100.0
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=30))
+def test_average_precision_is_the_mean_of_precisions_at_each_hit(right: list[bool]) -> None:
+    at_hits = [sum(right[: n + 1]) / (n + 1) for n, hit in enumerate(right) if hit]
+    wanted = sum(at_hits) / len(at_hits) if at_hits else 0.0
+    assert average_precision(np.array(right)) == pytest.approx(wanted)
 
 
 def test_a_photo_is_read_once(tmp_path: Path, model: Any) -> None:

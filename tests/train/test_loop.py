@@ -29,6 +29,8 @@ LITE = ModelConfig(
     LiteConfig(blocks=1),
     SaladConfig(16, clusters=4, cluster_dim=3, scene_dim=4, hidden=8, dropout=0.1),
     Preprocessing(32, 32),
+    provenance="a test",
+    licence="CC0",
 )
 VIT = dataclasses.replace(LITE, backbone=ViTConfig(16, 2, 2, grid=3), preprocessing=Preprocessing(42, 42))
 RECIPE = Recipe(
@@ -66,7 +68,7 @@ def _train(places: list[TrainingPlace], to: Path, **change: Any) -> Path:
 def whole(places: list[TrainingPlace], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that nothing disturbed."""
     to = tmp_path_factory.mktemp("whole")
-    _train(places, to, provenance="a test", licence="CC0")
+    _train(places, to)
     return to
 
 
@@ -93,7 +95,21 @@ def test_a_run_logs_what_it_measures(whole: Path) -> None:
     ]
     for line in told:
         assert line["loss"] >= 0
-        assert set(line["held_out_r1"]) == {"set", "mean"}
+        assert set(line["held_out"]) == {"set", "mean"}
+
+
+def test_the_best_weights_of_the_run_are_kept(
+    places: list[TrainingPlace], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def train_with(scores: list[float], name: str, **recipe: int) -> dict[str, torch.Tensor]:
+        told = iter(scores)
+        monkeypatch.setattr(loop, "precision_held_out", lambda *_: {"mean": next(told)})
+        _train(places, tmp_path / name, recipe=recipe)
+        return _weights(tmp_path / name)
+
+    kept = train_with([1.0, 5.0, 2.0, 4.9], "four steps")  # the second of four measurements is the best
+    stopped = train_with([1.0, 5.0], "two steps", tune_steps=0)
+    assert all(torch.equal(kept[key], stopped[key]) for key in kept)
 
 
 class Interrupted(Exception):
@@ -170,7 +186,7 @@ def test_no_block_may_be_trained_at_all(places: list[TrainingPlace], tmp_path: P
 
 def test_without_places_held_out_nothing_is_measured(places: list[TrainingPlace], tmp_path: Path) -> None:
     _train(places, tmp_path, recipe={"held_out": 0.0, "tune_steps": 0})
-    assert "held_out_r1" not in (tmp_path / "log.jsonl").read_text()
+    assert "held_out" not in (tmp_path / "log.jsonl").read_text()
 
 
 def test_too_few_places_are_a_sentence(places: list[TrainingPlace], tmp_path: Path) -> None:

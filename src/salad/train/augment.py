@@ -41,12 +41,15 @@ def augmentation(height: int, width: int) -> nn.Module:
         raise MissingExtraError("training", "train") from error
     return nn.Sequential(
         # viewpoint: nearer, to the side, tilted
-        k.RandomResizedCrop((height, width), scale=(0.45, 1.0), ratio=(0.75, 1.33)),
-        k.RandomPerspective(0.25, p=0.3),
+        k.RandomResizedCrop((height, width), scale=(0.3, 1.0), ratio=(0.6, 1.66)),
+        k.RandomPerspective(0.4, p=0.4),
+        k.RandomAffine(
+            8, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4
+        ),
         # light: time of day, exposure, white balance, grey cameras
-        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.4, hue=0.03, p=0.6),
-        k.RandomGamma((0.4, 2.5), p=0.4),
-        k.RandomPlanckianJitter(p=0.3),
+        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.4, p=0.5),
+        k.RandomGamma((0.4, 2.5), p=0.3),
+        k.RandomPlanckianJitter(p=0.2),
         k.RandomGrayscale(p=0.15),
         # camera
         LowResolution(),

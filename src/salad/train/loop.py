@@ -11,7 +11,7 @@ import copy
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from salad.errors import MissingExtraError, ModelError
 from salad.model.describer import Describer, build
 from salad.model.weights import write_folder
 from salad.train.augment import augmentation
-from salad.train.choose import Shelf, recall_held_out
+from salad.train.choose import Shelf, precision_held_out
 from salad.train.objective import multi_similarity
 from salad.train.recipe import Precision, Preset, Recipe
 from salad.train.start import start_backbone
@@ -40,8 +40,6 @@ def train(
     to: Path,
     start: str | None = None,
     accelerator: str = "auto",
-    provenance: str = "",
-    licence: str = "",
     say: Say = print,
 ) -> Path:
     """Train a model and write it to `to/model`.
@@ -52,8 +50,6 @@ def train(
         to: the run's folder; a run found there goes on.
         start: other weights for the backbone than the preset's.
         accelerator: Fabric's word for where to run: `auto`, `cpu`, `gpu`, `mps`.
-        provenance: what the written model says of where it comes from.
-        licence: what it says of its licence.
         say: takes a line whenever there is something to tell.
 
     Raises:
@@ -64,13 +60,13 @@ def train(
     recipe = preset.recipe
     learn, choose = split(places, held_out=recipe.held_out, seed=recipe.seed)
     say(f"{len(learn)} places to learn from, {len(choose)} held out to choose by")
-    config = replace(preset.model, provenance=provenance, licence=licence)
-    model = build(config, seed=recipe.seed)
+    model = build(preset.model, seed=recipe.seed)
     start_backbone(model, preset.start if start is None else start)
     to.mkdir(parents=True, exist_ok=True)
     run = _Run(model, recipe, learn, choose, folder=to, accelerator=accelerator, say=say)
     run.steps()
-    return write_folder(run.average.cpu().eval(), to / MODEL, dtype=torch.float16, overwrite=True)
+    model.load_state_dict(run.best["weights"])
+    return write_folder(model.cpu().eval(), to / MODEL, dtype=torch.float16, overwrite=True)
 
 
 class _Run:
@@ -93,6 +89,7 @@ class _Run:
         size = model.preprocessing.height, model.preprocessing.width
         self.augment, self.objective, self.shelf = augmentation(*size), multi_similarity(), Shelf(model)
         self.average = copy.deepcopy(model)
+        self.best: dict[str, Any] = {"score": -1.0, "weights": self.average.state_dict()}
         self.step, self.began = 0, time.monotonic()
 
     def steps(self) -> None:
@@ -116,6 +113,7 @@ class _Run:
         if saved:
             self.model.load_state_dict(saved["model"])
             self.average.load_state_dict(saved["average"])
+            self.best = saved["best"]
             if saved["step"] > first:  # at a stage's end its optimizer is done: the next trains other weights
                 optimizer.load_state_dict(saved["optimizer"])
             self.step = saved["step"]
@@ -143,7 +141,7 @@ class _Run:
         labels = torch.tensor([view.label for view in batch], device=self.fabric.device)
         loss = self.objective(module(images).float(), labels)
         self.fabric.backward(loss)
-        nn.utils.clip_grad_norm_(module.parameters(), 1.0)
+        self.fabric.clip_gradients(module, optimizer, max_norm=1.0, error_if_nonfinite=False)
         optimizer.step()
         optimizer.zero_grad()
         self._average()
@@ -152,9 +150,7 @@ class _Run:
     @torch.no_grad()
     def _average(self) -> None:
         """Keep a running mean of the weights: it wanders less than the weights of any one step."""
-        decay = min(
-            self.recipe.average, self.step / (self.step + 10)
-        )  # a young mean forgets its start sooner
+        decay = min(self.recipe.average, self.step / (self.step + 10))  # a young mean soon forgets its start
         for mean, weight in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(weight, 1 - decay)
 
@@ -174,7 +170,12 @@ class _Run:
             "seconds": round(time.monotonic() - self.began, 1),
         }
         if self.choose:
-            told["held_out_r1"] = recall_held_out(self.average, self.choose, self.shelf)
+            told["held_out"] = precision_held_out(self.average, self.choose, self.shelf)
+        score = (
+            told["held_out"]["mean"] if self.choose else float(self.step)
+        )  # nothing to choose by: the last
+        if score > self.best["score"]:
+            self.best = {"score": score, "weights": copy.deepcopy(self.average.state_dict())}
         with (self.folder / LOG).open("a", encoding="utf-8") as log:
             log.write(json.dumps(told) + "\n")
         self.say(json.dumps(told))
@@ -186,6 +187,7 @@ class _Run:
             "step": self.step,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(),
+            "best": self.best,
             "optimizer": optimizer.state_dict(),
         }
         draft = self.folder / f"{CHECKPOINT}.part"
@@ -200,8 +202,7 @@ class _Run:
         if saved["recipe"] != asdict(self.recipe):
             raise ModelError(f"{path} belongs to a run of another recipe; choose another folder with --to")
         if saved["step"] == self._end():
-            self.model.load_state_dict(saved["model"])
-            self.average.load_state_dict(saved["average"])
+            self.best = saved["best"]
         return saved
 
 
