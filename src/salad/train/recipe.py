@@ -33,12 +33,12 @@ class Recipe:
         seed: of everything random.
     """
 
-    head_steps: int = 150
-    tune_steps: int = 450
+    head_steps: int = 75
+    tune_steps: int = 250
     places: int = 16
     views: int = 4
     head_rate: float = 1e-3
-    trunk_rate: float = 3e-4
+    trunk_rate: float = 2e-4
     weight_decay: float = 1e-4
     warmup: int = 20
     last: float = 0.05
