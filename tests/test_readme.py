@@ -31,7 +31,9 @@ def mapper(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def test_readme_runs(mapper: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_readme_runs(
+    mapper: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(mapper)
     lines = [line for block in _blocks("bash") for line in block.splitlines() if line.strip()]
     assert len(lines) >= 3

@@ -151,12 +151,23 @@ def test_blocks_there_are_not_are_refused(blocks: int) -> None:
         Lite0(LiteConfig(blocks=blocks))
 
 
-def test_train_last_trains_all_or_nothing() -> None:
-    model = _lite(blocks=1)
-    model.train_last(0)
-    assert not any(weight.requires_grad for weight in model.parameters())
-    model.train_last(4)
-    assert all(weight.requires_grad for weight in model.parameters())
+@pytest.mark.parametrize("blocks", [0, 1, 2, 3])
+def test_train_last_trains_the_last_blocks_and_with_all_the_stem(blocks: int) -> None:
+    model = Lite0(LiteConfig(blocks=3))
+    model.train_last(blocks)
+    trained = {name for name, weight in model.named_parameters() if weight.requires_grad}
+    wanted = {
+        name
+        for name, _ in model.named_parameters()
+        if blocks == 3 or any(name.startswith(f"_blocks.{number}.") for number in range(3 - blocks, 3))
+    }
+    assert trained == wanted
+
+
+@pytest.mark.parametrize("blocks", [-1, 4])
+def test_no_more_blocks_can_be_trained_than_there_are(blocks: int) -> None:
+    with pytest.raises(ModelError, match="this trunk has 3 blocks"):
+        Lite0(LiteConfig(blocks=3)).train_last(blocks)
 
 
 def test_the_configuration_decides_the_backbone() -> None:

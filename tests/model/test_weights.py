@@ -283,3 +283,11 @@ def test_zoo_names_lead_to_fetched_files_and_bundled_folders(
     assert load("salad-lite").config == dataclasses.replace(LITE)
     published = load("dinov2-vits14", heads=2)
     assert (published.name, published.config.provenance) == ("dinov2-vits14", "fetched.pth, layout hub")
+
+
+def test_whoever_may_read_the_config_may_read_the_weights(tmp_path: Path) -> None:
+    folder = write_folder(
+        build(ModelConfig("tiny", LiteConfig(blocks=1), SceneConfig(16))), tmp_path / "model"
+    )
+    modes = {path.stat().st_mode & 0o777 for path in folder.iterdir()}
+    assert len(modes) == 1

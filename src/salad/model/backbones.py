@@ -133,8 +133,15 @@ class Lite0(nn.Module):
         return Tokens(patches, patches.mean(dim=1), (x.shape[2], x.shape[3]), self.stride)
 
     def train_last(self, blocks: int) -> None:
-        """Train everything, or nothing where `blocks` is 0: so small a trunk is not worth freezing by parts."""
-        self.requires_grad_(blocks > 0)
+        """Leave only the last `blocks` blocks to be trained, and the stem with all of them; 0 trains nothing.
+
+        The first blocks see edges, which no place changes, at the widest grids: half of a step's time.
+        """
+        if not 0 <= blocks <= len(self._blocks):
+            raise ModelError(f"trained_blocks is {blocks}, but this trunk has {len(self._blocks)} blocks")
+        self.requires_grad_(blocks == len(self._blocks))
+        for block in self._blocks[len(self._blocks) - blocks :]:
+            block.requires_grad_(True)
 
 
 def _joined(parts: list[Tokens]) -> Tokens:

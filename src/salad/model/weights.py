@@ -6,6 +6,7 @@ Our own format is a folder that knows its own shape: `model.safetensors` beside 
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -105,6 +106,7 @@ def write_folder(
             save_file(weights, draft / WEIGHTS)
             text = json.dumps({"format": FORMAT, **model.config.as_dict()}, indent=2) + "\n"
             (draft / CONFIG).write_text(text, encoding="utf-8")
+            shutil.copymode(draft / CONFIG, draft / WEIGHTS)  # safetensors writes for its owner alone
             if folder.exists():
                 folder.rename(Path(beside) / "old")
             draft.rename(folder)

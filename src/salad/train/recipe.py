@@ -13,11 +13,11 @@ Precision = Literal["bf16-mixed", "16-mixed", "32-true"]
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How a model is trained: first the head alone, then the whole of it.
+    """How a model is trained: first the head alone, then most of the backbone with it.
 
     Args:
         head_steps: steps with the backbone frozen.
-        tune_steps: steps with everything trained (`tuned_blocks` says how much of a vision transformer).
+        tune_steps: steps with the head and the last `tuned_blocks` of the backbone trained.
         places: places in a batch.
         views: photos of each.
         head_rate: learning rate of the aggregator.
@@ -26,7 +26,7 @@ class Recipe:
         warmup: steps over which a stage's learning rate rises; after that it falls linearly to `last`.
         last: share of the learning rate left at a stage's end.
         average: decay of the running mean of the weights, which is what is measured and kept.
-        tuned_blocks: blocks of a vision transformer trained in the second stage.
+        tuned_blocks: the last blocks of the backbone, trained in the second stage.
         held_out: share of the places kept for choosing, never trained on.
         measure_every: steps between two measurements on the places held out; the best of all is kept.
         precision: Fabric's word for it; `bf16-mixed` halves the time where the processor has bfloat16.
@@ -34,7 +34,7 @@ class Recipe:
     """
 
     head_steps: int = 75
-    tune_steps: int = 250
+    tune_steps: int = 220
     places: int = 16
     views: int = 4
     head_rate: float = 1e-3
@@ -43,7 +43,7 @@ class Recipe:
     warmup: int = 20
     last: float = 0.05
     average: float = 0.98
-    tuned_blocks: int = 4
+    tuned_blocks: int = 8
     held_out: float = 0.2
     measure_every: int = 25
     precision: Precision = "bf16-mixed"

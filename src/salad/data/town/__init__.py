@@ -31,7 +31,7 @@ from salad.geo import GeoPoint, shifted
 
 __all__ = ["ORIGIN", "Town", "draw_town", "read_town"]
 
-VERSION = 1
+VERSION = 2
 """Raised when the same seed draws other photos, so that older folders are drawn anew."""
 
 

@@ -14,7 +14,11 @@ from salad.geo import GeoPoint, shifted
 
 ORIGIN = GeoPoint(47.5, 64.5)
 """Where the invented town is put: open steppe, where no such town stands."""
-CONDITIONS = ("overcast", "golden evening", "night", "rain", "autumn", "dusk", "fog")
+CONDITIONS = (
+    *("overcast", "golden evening", "autumn", "rain", "overcast"),
+    *("dusk", "autumn", "golden evening", "fog", "night"),
+)
+"""The lights of later visits, in turn: mostly day, for most photos are taken by day."""
 GLANCE = 38.0
 """References look so far to the right and to the left of their way, in degrees."""
 DRIVE = datetime(2024, 6, 12, 10, 30)
@@ -48,7 +52,7 @@ def take_references(plan: Plan, count: int, size: tuple[int, int]) -> list[Shot]
 def take_queries(plan: Plan, sources: list[Shot], count: int) -> list[Shot]:
     """Photos of later visits, each near one of the references and looking much the same way.
 
-    A query stands 2 to 8 m along the street and up to 2 m aside from its reference and looks up to 15 degrees
+    A query stands 1 to 5 m along the street and up to 1 m aside from its reference and looks up to 8 degrees
     elsewhere, with another lens, in another light, between other cars.
     """
     chosen = np.random.default_rng([plan.seed, 72]).permutation(len(sources))
@@ -57,13 +61,13 @@ def take_queries(plan: Plan, sources: list[Shot], count: int) -> list[Shot]:
         rng = np.random.default_rng([plan.seed, 73, number])
         source = sources[int(chosen[number % len(sources)])].camera
         street, along, left = _nearest(plan, np.array(source.position[:2]))
-        step = float(rng.uniform(2, 8)) * float(rng.choice([-1, 1]))
+        step = float(rng.uniform(1, 5)) * float(rng.choice([-1, 1]))
         # Where the street ends, step back into it.
         step = step if 3 < along + step < street.length - 3 else -step
-        aside = float(np.clip(left + rng.uniform(-1.6, 2.4), -1.8, 1.8))
+        aside = float(np.clip(left + rng.uniform(-1, 1), -1.8, 1.8))
         _, way = street.at(along)
-        glance = source.heading - _heading(way) + rng.uniform(-15, 15)
-        lens = (rng.uniform(1.6, 2.1), rng.uniform(4, 9), rng.normal(0, 0.9), rng.uniform(66, 80))
+        glance = source.heading - _heading(way) + rng.uniform(-8, 8)
+        lens = (rng.uniform(1.8, 2.3), rng.uniform(4, 8), rng.normal(0, 0.7), rng.uniform(68, 76))
         lit = (CONDITIONS[number % len(CONDITIONS)], number + 1)
         shots.append(
             _shot(
