@@ -467,7 +467,9 @@ def training_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
     from salad.train.recipe import PRESETS, Preset, Recipe
 
-    recipe = Recipe(places=2, views=2, warmup=1, measure_every=1, precision="32-true", held_out=0.5)
+    recipe = Recipe(
+        tuned_blocks=1, places=2, views=2, warmup=1, measure_every=1, precision="32-true", held_out=0.5
+    )
     monkeypatch.setitem(PRESETS, "tiny", Preset(TINY, "", recipe))
 
 

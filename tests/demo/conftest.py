@@ -12,8 +12,8 @@ from salad.data.town import Town
 from salad.demo import DemoResult, Judged
 from salad.geo import GeoPoint, shifted
 from salad.index import Match
-from salad.place import Answer, Place
 from salad.photos import Photo, save_jpeg
+from salad.place import Answer, Place
 
 HERE = GeoPoint(47.5, 64.5)
 Paint = Callable[..., Town]

@@ -16,10 +16,10 @@ from PIL import Image
 from salad.errors import PhotoError, WrongModelError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.index import Index, Match, index_photos
-from salad.place import Answer, Place, locate, locate_many, vote
-from salad.place.voting import RADIUS_M, _ballots, _groups
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo
+from salad.place import Answer, Place, locate, locate_many, vote
+from salad.place.voting import RADIUS_M, _ballots, _groups
 
 TOWN = GeoPoint(51.5, -0.1)
 loose = partial(vote, min_score=0.0, min_share=0.0)
