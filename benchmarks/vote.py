@@ -1,4 +1,4 @@
-"""How the vote's constants were chosen: on street photos of places held out of training, never on evaluation photos.
+"""What the vote makes of its constants: on street photos of places held out of training, never on evaluation photos.
 
     python benchmarks/vote.py [--data ../shared/data/train] [--city sfxl-240]
 
@@ -28,7 +28,7 @@ from salad.place.voting import vote
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED, NEWEST, K = 0, 3, 5
-SHARPNESS, MIN_SHARE, MIN_SCORE = (10, 20, 40), (0.3, 0.4, 0.5), (0.35, 0.45, 0.5, 0.55)
+SHARPNESS, MIN_SHARE, MIN_SCORE = (10, 20, 40), (0.3, 0.4, 0.5), (0.25, 0.3, 0.35, 0.4)
 
 
 def where(path: Path) -> salad.GeoPoint:
