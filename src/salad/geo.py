@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import utm  # type: ignore[import-untyped]  # it ships no types
 from numpy.typing import ArrayLike, NDArray
-from utm.error import OutOfRangeError  # type: ignore[import-untyped]
+from utm.error import OutOfRangeError  # type: ignore[import-untyped]  # the same
 
 from salad.errors import PositionError
 

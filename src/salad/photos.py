@@ -72,7 +72,7 @@ def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> l
     """
     found: dict[Path, None] = {}
     for source in sources:
-        named = _listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
+        named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
         for path in named:
             found.update(dict.fromkeys(_photos_in(path) if path.is_dir() else [existing(path)]))
     if not found:
@@ -80,7 +80,12 @@ def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> l
     return list(found)
 
 
-def _listed(stdin: TextIO) -> list[Path]:
+def listed(stdin: TextIO) -> list[Path]:
+    """The paths a list names, one a line; blank lines are left out.
+
+    Raises:
+        PhotoError: where the list is not text.
+    """
     try:
         lines = [line.removeprefix("\ufeff").rstrip("\r\n") for line in stdin]
     except UnicodeDecodeError as error:
@@ -112,7 +117,7 @@ def _photos_in(folder: Path) -> list[Path]:
 
 
 def _looks_like_photo(name: str) -> bool:
-    return not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES  # noqa: PTH122
+    return not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES  # noqa: PTH122  # a Path for each file is slow
 
 
 # --- what is known -------------------------------------------------------------------------

@@ -60,7 +60,7 @@ class PhotoTable:
                     f"{path}, line {row.line}: {row.path!r} has a row already, line {first.line}: keep one"
                 )
             # A row whose photo is where it says speaks for that photo only.
-            if not os.path.isabs(row.path) and not os.path.exists(place):  # noqa: PTH110, PTH117
+            if not os.path.isabs(row.path) and not os.path.exists(place):  # noqa: PTH110, PTH117  # plain strings
                 by_end[_spelled(os.path.normpath(row.path))] = row
         return cls(path, tuple(rows), by_place, by_end)
 

@@ -28,17 +28,19 @@ def listed(names: Iterable[str]) -> Iterator[str]:
         if name != "-":
             yield name
         else:
-            yield from (line.rstrip("\r\n") for line in sys.stdin if line.strip())
+            from salad.photos import listed as paths_on
+
+            yield from map(str, paths_on(sys.stdin))
 
 
 def say(sentence: str) -> None:
     """Talk to whoever watches; never part of a result."""
-    print(sentence, file=sys.stderr, flush=True)  # noqa: T201
+    print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # the one place for talk
 
 
 def put(text: str) -> None:
     """Write a result."""
-    print(text, flush=True)  # noqa: T201
+    print(text, flush=True)  # noqa: T201  # the one place for results
 
 
 def put_json(value: Any) -> None:

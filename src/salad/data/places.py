@@ -109,7 +109,7 @@ def batches(
 
 def _some(chance: np.random.Generator, photos: int, views: int) -> list[int]:
     rounds = math.ceil(views / photos)  # a place with too few photos shows some of them twice
-    return np.concatenate([chance.permutation(photos) for _ in range(rounds)])[:views].tolist()  # type: ignore[no-any-return]
+    return np.concatenate([chance.permutation(photos) for _ in range(rounds)])[:views].tolist()  # type: ignore[no-any-return]  # list of int
 
 
 def _places(root: Path) -> list[TrainingPlace]:

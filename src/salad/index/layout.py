@@ -52,7 +52,7 @@ def resolved(paths: Iterable[str | Path]) -> list[Path]:
     for given in paths:
         path = os.fspath(given)
         folder, name = os.path.split(path)
-        if os.path.islink(path) or name in ("", ".", ".."):  # noqa: PTH114
+        if os.path.islink(path) or name in ("", ".", ".."):  # noqa: PTH114  # plain strings
             found.append(Path(os.path.realpath(path)))
             continue
         if folder not in folders:
