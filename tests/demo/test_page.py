@@ -21,7 +21,7 @@ from salad.demo.page import draw_page, write_page
 from salad.demo.strips import coordinates
 from salad.demo.townmap import Frame, draw_map, round_metres
 from salad.errors import BenchmarkError
-from salad.geo import GeoPoint, metres_between, shifted
+from salad.geo import EARTH_RADIUS_M, GeoPoint, metres_between, shifted
 from salad.model.fake import FakeDescriber
 
 Result = Callable[..., DemoResult]
@@ -179,8 +179,9 @@ def test_the_map_keeps_distances_and_directions(lat: float, lon: float, north: f
     frame = Frame.around([here, there])
     (x, y), (to_x, to_y) = frame.at(here), frame.at(there)
     assert np.hypot(to_x - x, to_y - y) == pytest.approx(metres_between(here, there), rel=2e-3, abs=0.01)
-    assert to_x - x == pytest.approx(east, rel=2e-3, abs=0.05)
-    assert y - to_y == pytest.approx(north, rel=2e-3, abs=0.05)
+    bend = east**2 * np.tan(np.radians(abs(lat))) / (2 * EARTH_RADIUS_M)  # of the way east from the parallel
+    assert to_x - x == pytest.approx(east, rel=2e-3, abs=0.01)
+    assert y - to_y == pytest.approx(north, rel=2e-3, abs=0.01 + 1.1 * bend)
     for point in ((x, y), (to_x, to_y)):
         assert 0 < point[0] < frame.width
         assert 0 < point[1] < frame.height
