@@ -11,15 +11,15 @@ import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes
 
 from salad._version import __version__
-from salad.cli import commands, shell, studies, weights
+from salad.cli import indexing, locating, shell, studies, tending, weights
 from salad.errors import SaladError
 
 COMMANDS: dict[str, Any] = {
-    "index": commands.Index,
-    "locate": commands.Locate,
-    "info": commands.Info,
-    "verify": commands.Verify,
-    "remove": commands.Remove,
+    "index": indexing.Index,
+    "locate": locating.Locate,
+    "info": tending.Info,
+    "verify": tending.Verify,
+    "remove": tending.Remove,
     "evaluate": studies.Evaluate,
     "weights": weights.Weights,
     "train": studies.Train,

@@ -34,7 +34,7 @@ class Recipe:
     """
 
     head_steps: int = 75
-    tune_steps: int = 220
+    tune_steps: int = 700
     places: int = 16
     views: int = 4
     head_rate: float = 1e-3
@@ -42,10 +42,10 @@ class Recipe:
     weight_decay: float = 1e-4
     warmup: int = 20
     last: float = 0.05
-    average: float = 0.98
+    average: float = 0.99
     tuned_blocks: int = 8
     held_out: float = 0.2
-    measure_every: int = 25
+    measure_every: int = 50
     precision: Precision = "bf16-mixed"
     seed: int = 0
 
