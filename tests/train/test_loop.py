@@ -149,11 +149,13 @@ def test_a_run_that_ended_is_written_again_without_a_step(
     assert (tmp_path / "log.jsonl").read_text() == lines
 
 
-def test_a_folder_of_another_recipe_is_refused(places: list[TrainingPlace], tmp_path: Path) -> None:
+def test_a_folder_of_another_run_is_refused(places: list[TrainingPlace], tmp_path: Path) -> None:
     short = {"head_steps": 1, "tune_steps": 0}
     _train(places, tmp_path, recipe=short)
     with pytest.raises(ModelError, match=r"last\.ckpt belongs to a run of another recipe"):
         _train(places, tmp_path, recipe=short | {"head_rate": 0.5})
+    with pytest.raises(ModelError, match=r"last\.ckpt belongs to a run of another architecture"):
+        _train(places, tmp_path, recipe=short, model=VIT)
 
 
 def test_the_first_stage_leaves_the_backbone_alone(places: list[TrainingPlace], tmp_path: Path) -> None:

@@ -95,29 +95,28 @@ class _Run:
     def steps(self) -> None:
         """Both stages, from wherever the run stands."""
         saved = self._saved()
-        for stage, end in (("head", self.recipe.head_steps), ("tune", self._end())):
-            if saved and saved["step"] >= end:
-                continue
-            if self.step < end or saved:
-                self._stage(stage, end, saved)
-                saved = None
+        if saved:
+            self._take_up(saved)
+        head, end = self.recipe.head_steps, self.recipe.head_steps + self.recipe.tune_steps
+        for stage, first, last in (("head", 0, head), ("tune", head, end)):
+            if self.step < last:
+                within = (
+                    saved is not None and first < self.step
+                )  # at a stage's start its optimizer is a new one
+                self._stage(stage, first, last, saved["optimizer"] if saved and within else None)
 
-    def _end(self) -> int:
-        return self.recipe.head_steps + self.recipe.tune_steps
+    def _take_up(self, saved: dict[str, Any]) -> None:
+        self.model.load_state_dict(saved["model"])
+        self.average.load_state_dict(saved["average"])
+        self.best, self.step = saved["best"], saved["step"]
+        self.say(f"going on from step {self.step}")
 
-    def _stage(self, stage: str, end: int, saved: dict[str, Any] | None) -> None:
-        first = 0 if stage == "head" else self.recipe.head_steps
+    def _stage(self, stage: str, first: int, end: int, momenta: dict[str, Any] | None) -> None:
         self.model.backbone.train_last(0 if stage == "head" else self.recipe.tuned_blocks)
         module, optimizer = self.fabric.setup(self.model, _optimizer(self.model, self.recipe))
         self.average.to(self.fabric.device)
-        if saved:
-            self.model.load_state_dict(saved["model"])
-            self.average.load_state_dict(saved["average"])
-            self.best = saved["best"]
-            if saved["step"] > first:  # at a stage's end its optimizer is done: the next trains other weights
-                optimizer.load_state_dict(saved["optimizer"])
-            self.step = saved["step"]
-            self.say(f"going on from step {self.step}")
+        if momenta:
+            optimizer.load_state_dict(momenta)
         feed = batches(
             self.learn,
             per_batch=self.recipe.places,
@@ -184,6 +183,7 @@ class _Run:
     def _save(self, optimizer: torch.optim.Optimizer) -> None:
         state = {
             "recipe": asdict(self.recipe),
+            "architecture": self.model.config.as_dict(),
             "step": self.step,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(),
@@ -199,10 +199,9 @@ class _Run:
         if not path.is_file():
             return None
         saved: dict[str, Any] = torch.load(path, map_location=self.fabric.device, weights_only=True)
-        if saved["recipe"] != asdict(self.recipe):
-            raise ModelError(f"{path} belongs to a run of another recipe; choose another folder with --to")
-        if saved["step"] == self._end():
-            self.best = saved["best"]
+        for key, mine in (("recipe", asdict(self.recipe)), ("architecture", self.model.config.as_dict())):
+            if saved.get(key) != mine:
+                raise ModelError(f"{path} belongs to a run of another {key}; choose another folder with --to")
         return saved
 
 
