@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from salad.config import (
     PRESETS,
     VITS,
+    Calibration,
     GemConfig,
     LiteConfig,
     ModelConfig,
@@ -38,7 +39,26 @@ aggregators = (
 preparations = st.builds(
     Preprocessing, few, few, channels, channels, st.sampled_from(["bilinear", "bicubic"])
 )
-models = st.builds(ModelConfig, st.text(), backbones, aggregators, preparations, st.text(), st.text())
+weights = st.floats(0, 1e6)
+calibrations = st.builds(
+    Calibration,
+    weights,
+    st.floats(-1e6, 1e6),
+    *[weights] * 4,
+    st.floats(1e-6, 1e3),
+    st.floats(0, 1),
+    st.text(),
+)
+models = st.builds(
+    ModelConfig,
+    st.text(),
+    backbones,
+    aggregators,
+    preparations,
+    st.text(),
+    st.text(),
+    st.none() | calibrations,
+)
 
 
 def _plain() -> dict[str, Any]:
@@ -111,6 +131,38 @@ def test_a_lost_part_is_named(lost: str) -> None:
 def test_what_is_no_configuration_is_refused(data: Any) -> None:
     with pytest.raises(ModelError, match="cannot be read"):
         ModelConfig.from_dict(data)
+
+
+def test_a_model_nobody_has_calibrated_says_nothing_of_it() -> None:
+    assert "calibration" not in _plain()
+    assert ModelConfig.from_dict(_plain()).calibration is None
+    assert ModelConfig.from_dict({**_plain(), "calibration": None}).calibration is None
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "said"),
+    [
+        ("sharpness", -1.0, "sharpness"),
+        ("top", -0.1, "top"),
+        ("gap", float("nan"), "gap"),
+        ("spread", "2", "spread"),
+        ("share", True, "share"),
+        ("bias", float("inf"), "bias"),
+        ("radius", 0, "radius 0 must be above 0"),
+        ("min_confidence", 1.01, "at most 1"),
+        ("colour", 1, "nothing else and nothing less"),
+    ],
+)
+def test_a_damaged_calibration_is_named(setting: str, value: object, said: str) -> None:
+    data = {**_plain(), "calibration": {**Calibration().as_dict(), setting: value}}
+    with pytest.raises(ModelError, match=said):
+        ModelConfig.from_dict(data)
+
+
+@pytest.mark.parametrize("data", [3, [], {"bias": 1.0}])
+def test_what_is_no_calibration_is_refused(data: Any) -> None:
+    with pytest.raises(ModelError, match="a calibration holds"):
+        Calibration.from_dict(data)
 
 
 def test_nobody_can_change_a_configuration() -> None:

@@ -82,6 +82,19 @@ def test_missing_sources_and_empty_folders_are_said(tmp_path: Path) -> None:
         find_photos(["-"], stdin=io.StringIO("\n"))
 
 
+def test_names_that_no_system_takes_and_links_to_themselves_are_said(tmp_path: Path) -> None:
+    (tmp_path / "self.jpg").symlink_to("self.jpg")
+    (tmp_path / "to.jpg").symlink_to("fro.jpg")
+    (tmp_path / "fro.jpg").symlink_to("to.jpg")
+    loops = find_photos([tmp_path])  # found, so that each is named and not passed over in silence
+    assert [path.name for path in loops] == ["fro.jpg", "self.jpg", "to.jpg"]
+    for path in (*loops, tmp_path / ("x" * 5000), tmp_path / "a\0b.jpg", tmp_path / "fro.jpg" / "a.jpg"):
+        with pytest.raises(PhotoError, match="no photo at"):
+            find_photos([path])
+        with pytest.raises(PhotoError, match="no photo at"):
+            read_photo(path)
+
+
 def test_a_folder_that_cannot_be_read_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def locked(path: object) -> object:
         raise PermissionError(13, "Permission denied", str(path))

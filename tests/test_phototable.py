@@ -92,6 +92,8 @@ def test_accents_are_the_same_however_they_are_kept(tmp_path: Path) -> None:
         ("path;lat;lon\na.jpg;1;1\n", "needs one column 'path'"),
         ("path,lat,lat,lon\na.jpg,1,1,1\n", "needs one column 'lat'"),
         ("", "its columns are none"),
+        ('path,"l\nat",lon\n', r"its columns are path, 'l\\nat', lon: write"),
+        (f"path,{'x' * 999}\n", r"path, x{40}\.\.\.: write"),
         ('path,lat,lon\n"a.jpg,1,1\n', "not CSV"),
         (b"path,lat,lon\n\xff.jpg,1,1\n", "not UTF-8"),
     ],

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
-from salad import pixels
+from salad import imagefile
 from salad.errors import ModelError, PhotoError
 from salad.geo import GeoPoint
 from salad.geotags import Position
@@ -132,6 +132,12 @@ def test_cmyk_comes_out_in_its_colours(tmp_path: Path) -> None:
         assert np.abs(seen - colour).max() <= 4
 
 
+def test_lab_comes_out_in_its_colours(tmp_path: Path) -> None:
+    lab = np.full((4, 4, 3), (136, 80, 67), np.uint8)  # L 53, a 80, b 67: red
+    seen = shown(tmp_path / "l.tif", Image.frombytes("LAB", (4, 4), lab.tobytes()))
+    assert np.abs(seen - [255, 0, 0]).max() <= 12
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 def test_sixteen_bits_are_scaled_to_eight(tmp_path: Path, suffix: str) -> None:
     deep = np.array([[0, 255, 257, 32768], [25700, 65278, 65534, 65535]], np.uint16)
@@ -163,7 +169,6 @@ def test_one_pixel(tmp_path: Path) -> None:
     [
         (b"", "is empty"),
         (b"GIF? no", "not an image"),
-        (b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00", "it is HEIC"),
         (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "not an image"),  # would start a program
         (b"\xff\xd8\xff\xe0", r"not an image|damaged"),
     ],
@@ -195,7 +200,7 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path) -> 
     path.write_bytes(
         png_header(20_000, 10_001) + struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
     )
-    with pytest.raises(PhotoError, match=r"20000 x 10001 pixels, over 200000000"):
+    with pytest.raises(PhotoError, match=r"200020000 pixels, over 200000000 in all"):
         open_rgb(path)
     assert read_exif(path) == Position()
 
@@ -208,8 +213,8 @@ def test_pillows_own_lower_limit_neither_warns_nor_refuses(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
     assert open_rgb(tmp_path / name).size == (8, 6)
     assert Image.MAX_IMAGE_PIXELS == 10
-    monkeypatch.setattr(pixels, "MAX_PIXELS", 47)
-    with pytest.raises(PhotoError, match="8 x 6 pixels, over 47"):
+    monkeypatch.setattr(imagefile, "MAX_PIXELS", 47)
+    with pytest.raises(PhotoError, match=r"8 x 6 pixels, over (47|23) in all"):
         open_rgb(tmp_path / name)
 
 

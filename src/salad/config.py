@@ -124,13 +124,80 @@ class Preprocessing:
     resample: Resample = "bilinear"
 
 
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a model's scores are worth, learnt on photos of places that the model never saw.
+
+    The confidence in a place is 1 / (1 + exp(-z)), where
+    z = bias + top * its best score + gap * that score's lead on the best elsewhere
+    - spread * how far all matches scatter + share * its share of all matches' weight.
+    No weight is negative, so better evidence never lowers it. docs/calibration.md tells more.
+
+    The defaults stand in for a model nobody has calibrated: they order places sensibly, but are no probabilities.
+
+    Args:
+        sharpness: a match weighs exp(sharpness * score).
+        bias: z of no evidence at all.
+        top: weight of the best score.
+        gap: weight of the lead.
+        spread: weight of the scatter, which lowers the confidence.
+        share: weight of the share.
+        radius: factor on the radius of a place, so that it holds the truth in 90 of 100 answers.
+        min_confidence: a place of less is unknown.
+        provenance: which photos these numbers were fitted on.
+
+    Raises:
+        ModelError: a number is not finite, or out of its range.
+    """
+
+    sharpness: float = 20.0
+    bias: float = -6.0
+    top: float = 6.0
+    gap: float = 10.0
+    spread: float = 2.0
+    share: float = 4.0
+    radius: float = 1.0
+    min_confidence: float = 0.5
+    provenance: str = ""
+
+    def __post_init__(self) -> None:
+        numbers = {name: value for name, value in self.as_dict().items() if name != "provenance"}
+        for name, value in numbers.items():
+            real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if not real or (value < 0 and name != "bias"):
+                raise ModelError(
+                    f"{name} of the calibration is {value!r}: give a finite number, none below 0"
+                )
+        if self.radius == 0 or self.min_confidence > 1:
+            raise ModelError(
+                f"the calibration's radius {self.radius} must be above 0, its min_confidence "
+                f"{self.min_confidence} at most 1"
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """This calibration as JSON holds it."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Calibration:
+        """Read what `as_dict` wrote.
+
+        Raises:
+            ModelError: a number is missing, unknown or out of its range.
+        """
+        known = {field.name for field in dataclasses.fields(cls)}
+        if not isinstance(data, dict) or set(data) != known:
+            raise ModelError(f"a calibration holds {', '.join(sorted(known))}, nothing else and nothing less")
+        return cls(**data)
+
+
 BackboneConfig = ViTConfig | LiteConfig
 AggregatorConfig = SaladConfig | SceneConfig | GemConfig
 
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """A whole model: what it is made of, how photos are prepared for it, and where it comes from."""
+    """A whole model: what it is made of, how photos are prepared for it, where it comes from, how sure it is."""
 
     name: str
     backbone: BackboneConfig
@@ -138,10 +205,14 @@ class ModelConfig:
     preprocessing: Preprocessing = field(default_factory=Preprocessing)
     provenance: str = ""
     licence: str = ""
+    calibration: Calibration | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """This configuration as JSON holds it."""
-        return dataclasses.asdict(self)
+        """This configuration as JSON holds it; a model nobody has calibrated says nothing of that."""
+        settings = dataclasses.asdict(self)
+        if self.calibration is None:
+            del settings["calibration"]
+        return settings
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> ModelConfig:
@@ -155,6 +226,8 @@ class ModelConfig:
             backbone = _part(BACKBONE_KINDS, rest.pop("backbone"))
             aggregator = _part(AGGREGATOR_KINDS, rest.pop("aggregator"))
             preprocessing = _preprocessing(rest.pop("preprocessing"))
+            if rest.get("calibration") is not None:
+                rest["calibration"] = Calibration.from_dict(rest["calibration"])
             return cls(backbone=backbone, aggregator=aggregator, preprocessing=preprocessing, **rest)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ModelError(

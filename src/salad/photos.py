@@ -28,6 +28,7 @@ __all__ = [
     "identity",
     "open_rgb",
     "parse_at_name",
+    "placed",
     "read_photo",
     "save_jpeg",
     "squeeze",
@@ -74,7 +75,8 @@ def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> l
     for source in sources:
         named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
         for path in named:
-            found.update(dict.fromkeys(_photos_in(path) if path.is_dir() else [existing(path)]))
+            inside = os.path.isdir(path)  # noqa: PTH112  # Path.is_dir fails over a name too long
+            found.update(dict.fromkeys(_photos_in(path) if inside else [existing(path)]))
     if not found:
         raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
     return list(found)
@@ -132,9 +134,17 @@ def read_photo(path: Path, table: PhotoTable | None = None) -> Photo:
         PhotoError: where there is no such file.
     """
     path = existing(Path(path))
-    told = (table and table.get(path)) or Position()
-    told = told.completed(parse_at_name(path.name)).completed(read_exif(path))
-    return Photo(path, told.where, told.heading, told.time)
+    told = (parse_at_name(path.name) or Position()).completed(read_exif(path))
+    return placed(Photo(path, told.where, told.heading, told.time), table)
+
+
+def placed(photo: Photo, table: PhotoTable | None) -> Photo:
+    """The photo with what a table says of it, which comes before what it says itself."""
+    told = table.get(photo.path) if table else None
+    if told is None:
+        return photo
+    told = told.completed(Position(photo.where, photo.heading, photo.time))
+    return Photo(photo.path, told.where, told.heading, told.time)
 
 
 def identity(path: Path) -> str:

@@ -16,6 +16,7 @@ from salad.geo import GeoPoint
 from salad.geotags import Position
 
 _NEEDED = ("path", "lat", "lon")
+_LONG_NAME = 40  # characters of a column's name that a sentence tells
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,12 +136,18 @@ def _header(path: Path, names: Iterable[str]) -> list[str]:
     header = [name.strip().lower() for name in names]
     for needed in _NEEDED:
         if header.count(needed) != 1:
-            found = ", ".join(header) or "none"
+            found = ", ".join(map(_legible, header)) or "none"
             raise PositionError(
                 f"the table {path} needs one column {needed!r}, but its columns are {found}: "
                 f"write path,lat,lon[,heading,time] in the first line, with commas"
             )
     return header
+
+
+def _legible(name: str) -> str:
+    """A column's name as it fits into a sentence: a table that is none may hold anything there."""
+    name = name if len(name) <= _LONG_NAME else name[:_LONG_NAME] + "..."
+    return name if name.isprintable() else repr(name)
 
 
 def _row(path: Path, line: int, fields: dict[str, str]) -> Row:

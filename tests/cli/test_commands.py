@@ -193,7 +193,7 @@ def test_locate_finds_every_photo(cli: Any, city: Path, photos: Any) -> None:
 
 def test_json_of_locate_has_the_keys_that_are_promised(cli: Any, city: Path, photos: Any) -> None:
     (answer,) = cli("locate", photos.query[0], "--index", city, "-k", 3, "--format", "json").json()
-    assert list(answer) == ["query", "place", "matches"]
+    assert list(answer) == ["query", "place", "matches", "others"]
     assert list(answer["place"]) == ["lat", "lon", "radius_m", "confidence", "support"]
     assert len(answer["matches"]) == 3
     for match in answer["matches"]:
@@ -294,23 +294,27 @@ def test_info_tells_what_an_index_holds(cli: Any, city: Path) -> None:
     ran = cli("info", city, "--format", "json")
     assert (ran.code, ran.err) == (0, "")
     told = ran.json()
-    assert set(told) == {
+    assert list(told) == [
+        *("photos", "with_position", "with_heading", "with_time", "removed", "model", "fingerprint", "dim"),
         *(
-            "photos",
-            "with_position",
-            "model",
-            "fingerprint",
-            "dim",
             "bytes",
+            "bytes_of_descriptors",
             "created",
             "box",
+            "span_km",
+            "earliest",
+            "latest",
             "format_version",
-        )
-    }
+        ),
+    ]
     assert (told["photos"], told["with_position"], told["dim"], told["model"]) == (6, 6, 256, "salad-lite")
     south, west, north, east = told["box"]
     assert (south, west, east) == pytest.approx((48.1, 11.5, 11.5), abs=1e-6)
     assert north == pytest.approx(48.109, abs=1e-3)
+    assert told["span_km"] == pytest.approx([1.0, 0.0], abs=0.01)
+    assert (told["earliest"], told["latest"]) == ("2024-05-01T12:00:00", "2024-05-06T12:00:00")
+    assert (told["with_heading"], told["with_time"], told["removed"]) == (6, 6, 0)
+    assert told["bytes_of_descriptors"] == 6 * 256 * 2 < told["bytes"]
 
 
 def test_info_for_people_has_the_same_facts(cli: Any, city: Path) -> None:
@@ -319,7 +323,9 @@ def test_info_for_people_has_the_same_facts(cli: Any, city: Path) -> None:
     assert ran.code == 0
     lines = ran.out.splitlines()
     named = [line.split("  ")[0] for line in lines]
-    assert named == [*(name.replace("_", " ") for name in told if name != "box"), "south, west, north, east"]
+    units = {"box": "south, west, north, east", "span_km": "km from south to north, west to east"}
+    units |= {"bytes": "MB", "bytes_of_descriptors": "MB of descriptors"}
+    assert named == [units.get(name, name.replace("_", " ")) for name in told]
     assert lines[0].split() == ["photos", "6"]
     assert (
         len({len(line) - len(line.split("  ")[-1].lstrip()) for line in lines}) == 1

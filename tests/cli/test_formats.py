@@ -1,4 +1,4 @@
-"""What `salad locate` writes, read back by what reads it."""
+"""What `salad locate` writes as table, JSON and CSV, read back by what reads it."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ import io
 import json
 import math
 from datetime import datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
 import salad
 from salad.cli import formats
-from salad.geo import GeoPoint, metres_between
+from salad.geo import GeoPoint
 from salad.photos import Photo
 
 HERE = GeoPoint(48.1, 11.5)
@@ -44,61 +42,6 @@ def answer(name: str, where: GeoPoint | None = HERE, *, radius_m: float = 25.0) 
 
 
 quick = settings(deadline=None, max_examples=40)
-points = st.builds(
-    GeoPoint,
-    st.floats(-89.9, 89.9),
-    st.floats(-180, 180),
-)
-
-
-def signed_area(ring: list[list[float]]) -> float:
-    """Positive where the ring runs counter-clockwise."""
-    return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in pairwise(ring)) / 2
-
-
-# --- GeoJSON -------------------------------------------------------------------------------
-
-
-@quick
-@given(where=points, radius_m=st.floats(1, 5000))
-def test_geojson_draws_the_place_and_its_radius(where: GeoPoint, radius_m: float) -> None:
-    told = json.loads(formats.as_geojson([answer("a.jpg", where, radius_m=radius_m)]))
-    assert told["type"] == "FeatureCollection"
-    point, circle = told["features"]
-    assert point["geometry"] == {"type": "Point", "coordinates": [where.lon, where.lat]}
-    assert point["properties"]["radius_m"] == radius_m
-    (ring,) = circle["geometry"]["coordinates"]
-    assert ring[0] == ring[-1]
-    assert len(ring) > 8
-    middle = [[lon - where.lon, lat - where.lat] for lon, lat in ring]
-    assert all(abs(lon) <= 180 for lon, _ in middle)  # it does not jump round the earth at the date line
-    for lon, lat in ring:
-        corner = GeoPoint(lat, (lon + 180) % 360 - 180)
-        assert metres_between(where, corner) == pytest.approx(radius_m, rel=1e-3, abs=1e-3)
-
-
-@quick
-@given(where=st.builds(GeoPoint, st.floats(-80, 80), st.floats(-180, 180)))
-def test_a_ring_runs_counter_clockwise(where: GeoPoint) -> None:
-    told = json.loads(formats.as_geojson([answer("a.jpg", where)]))
-    (ring,) = told["features"][1]["geometry"]["coordinates"]
-    centred = [[lon - where.lon, lat - where.lat] for lon, lat in ring]
-    assert signed_area(centred) > 0
-
-
-def test_geojson_of_an_unknown_place_has_no_geometry() -> None:
-    told = json.loads(formats.as_geojson([answer("a.jpg", None), answer("b.jpg")]))
-    assert [(feature["geometry"] or {}).get("type") for feature in told["features"]] == [
-        None,
-        "Point",
-        "Polygon",
-    ]
-    assert told["features"][0]["properties"] == {"query": str(Path("queries/a.jpg")), "kind": "unknown"}
-    assert all(feature["type"] == "Feature" for feature in told["features"])
-
-
-def test_geojson_of_nothing_is_an_empty_collection() -> None:
-    assert json.loads(formats.as_geojson([])) == {"type": "FeatureCollection", "features": []}
 
 
 # --- CSV and JSON --------------------------------------------------------------------------

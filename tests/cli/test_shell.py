@@ -206,3 +206,8 @@ def test_progress_is_drawn_on_stderr_for_who_watches(
     assert out == ""
     assert "indexing" in err
     assert "2/2" in err
+
+
+def test_a_name_cannot_break_the_line_or_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    shell.say("a\nb\x1b[2J\u2028 東京 é.jpg is empty")
+    assert capsys.readouterr().err == "a\\nb\\x1b[2J\\u2028 東京 é.jpg is empty\n"

@@ -1,6 +1,9 @@
 """From photos to an index: nothing twice, nothing lost, nothing silent."""
 
 import os
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,10 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from salad.errors import WrongModelError
+from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.geo import GeoPoint
+from salad.helpers import Helpers
 from salad.index import Index, build, index_photos
 from salad.index.build import in_order, workers
+from salad.index.hands import _hands
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo, PhotoTable, identity
 
@@ -151,6 +156,145 @@ def test_an_interrupt_leaves_what_was_committed_and_the_next_run_goes_on(
     assert threading.active_count() == before
     done = index_photos(photos, index, FakeDescriber(), batch_size=3)
     assert (done.added, done.skipped) == (8, 12)
+
+
+def test_an_interrupt_commits_all_that_is_described(index: Index, photos: list[Path]) -> None:
+    seen: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        index_photos(
+            photos,
+            index,
+            CountingDescriber(interrupt_at=14),
+            batch_size=2,
+            progress=lambda done, _: seen.append(done),
+        )
+    assert len(index) == seen[-1] == 14
+    assert index_photos(photos, index, FakeDescriber()).skipped == 14
+
+
+def test_an_interrupt_while_committing_commits_after_all(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add, calls = Index.add, []
+
+    def tired(self: Index, *arguments: object, **settings: object) -> int:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return add(self, *arguments, **settings)
+
+    monkeypatch.setattr(Index, "add", tired)
+    monkeypatch.setattr(build, "COMMIT_BATCHES", 2)
+    with pytest.raises(KeyboardInterrupt):
+        index_photos(photos, index, FakeDescriber(), batch_size=3)
+    assert len(index) == 12
+    assert index.verify() == []
+
+
+def test_an_index_that_cannot_be_written_is_not_tried_twice(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def full(*_: object, **__: object) -> int:
+        calls.append(1)
+        raise StoreError("no room")
+
+    monkeypatch.setattr(Index, "add", full)
+    with pytest.raises(StoreError, match="no room"):
+        index_photos(photos, index, FakeDescriber())
+    assert calls == [1]
+
+
+# What a helper runs whose decoder breaks down over some photos.
+BROKEN = """
+import os
+from salad import reading
+
+honest = reading.TASKS["decode"]
+reading.TASKS["decode"] = lambda path, *rest: os._exit(9) if path.name in ("03.png", "11.png") else honest(path, *rest)
+reading.main()
+"""
+
+
+def test_many_photos_are_read_by_helpers_and_a_crash_costs_one(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("salad.index.hands.FEW", 10)
+    monkeypatch.setattr("salad.helpers._STARTER", BROKEN)
+    table = tmp_path / "places.csv"
+    table.write_text("path,lat,lon\nphotos/05.png,1,2\n")
+    done = index_photos(photos, index, FakeDescriber(), table=PhotoTable.read(table), batch_size=4)
+    assert (done.added, len(done.unreadable), len(index)) == (18, 2, 18)
+    for name, said in zip(("03.png", "11.png"), done.unreadable, strict=True):
+        assert name in said
+        assert "crashes its decoder" in said
+    good = [path for path in photos if path.name not in ("03.png", "11.png")]
+    for path, (best,) in zip(good, index.search(FakeDescriber().describe(good), k=1), strict=True):
+        assert best.photo == Photo(path, GeoPoint(1, 2) if path.name == "05.png" else None)
+
+
+def test_an_interrupt_ends_the_helpers(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Helpers] = []
+    monkeypatch.setattr("salad.index.hands.FEW", 10)
+    monkeypatch.setattr("salad.index.hands.Helpers", lambda n: made.append(Helpers(n)) or made[0])
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        index_photos(photos, index, CountingDescriber(interrupt_at=7), batch_size=3)
+    assert len(index) == 6
+    assert threading.active_count() == before
+    with pytest.raises(PhotoError, match="was stopped"):
+        made[0].look(photos[0])
+
+
+# Indexes a folder slowly, in helpers, telling how far it is.
+SLOW = """
+import sys, time
+from pathlib import Path
+from salad.index import Index, hands, index_photos
+from salad.model.fake import FakeDescriber
+
+class Slow(FakeDescriber):
+    def describe(self, photos, *, batch_size=16):
+        time.sleep(0.05)
+        return super().describe(photos, batch_size=batch_size)
+
+hands.FEW = 2
+model, folder = Slow(), Path(sys.argv[1])
+index = Index.create(folder / "i", dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+photos = sorted((folder / "photos").iterdir())
+try:
+    index_photos(photos, index, model, batch_size=1, progress=lambda done, _: print(done, flush=True))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no signals to groups of processes")
+def test_ctrl_c_reaches_every_process_and_loses_nothing(photos: list[Path], tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SLOW, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as run:
+        assert run.stdout is not None
+        far = [int(run.stdout.readline()) for _ in range(5)][-1]
+        os.killpg(run.pid, signal.SIGINT)
+        rest = run.stdout.read()  # it ends once no process holds the pipe any more
+        far = int(rest.split()[-1]) if rest.strip() else far
+    assert run.returncode == 130
+    with Index.open(tmp_path / "i") as index:
+        held = len(index)
+        assert held in (far, far + 1)  # the last may have been described and not yet told
+        assert index.verify() == []
+        done = index_photos(photos, index, FakeDescriber())
+        assert (done.added, done.skipped) == (20 - held, held)
+
+
+@pytest.mark.parametrize(("memory", "hands"), [(1 << 20, 1), (5 << 30, 2), (1 << 40, 8)])
+def test_no_more_hands_than_memory_allows(memory: int, hands: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sysconf", lambda name: 1 if name == "SC_PAGE_SIZE" else memory)
+    assert _hands() == hands
 
 
 def test_another_model_adds_nothing(index: Index, photos: list[Path]) -> None:

@@ -321,11 +321,8 @@ def test_a_table_without_its_commit_is_refused(index: Index) -> None:
         Index.open(index.folder)
 
 
-def test_a_truncated_matrix_is_refused(index: Index) -> None:
+def test_a_missing_matrix_is_refused(index: Index) -> None:
     add(index, "abc")
-    os.truncate(index.folder / "descriptors.f16", 3 * DIM * 2 - 1)
-    with pytest.raises(StoreError, match=r"truncated .it holds 2 descriptors, 3 were committed"):
-        Index.open(index.folder)
     (index.folder / "descriptors.f16").unlink()
     with pytest.raises(StoreError, match=r"descriptors\.f16 is missing"):
         Index.open(index.folder)
@@ -367,7 +364,7 @@ from salad.photos import Photo
 if sys.argv[2] == "before the commit":
     ledger.Ledger.commit_rows = lambda self, rows: os._exit(9)
 elif sys.argv[2] == "before the table":
-    ledger.Ledger.insert = lambda self, photos, identities, row: os._exit(9)
+    ledger.Ledger.insert = lambda self, photos, identities, sums, row: os._exit(9)
 index = Index.open(sys.argv[1])
 names = [f"{n}" for n in range(5000)]
 index.add([Photo(Path("/photos", n)) for n in names], np.tile(np.eye(8)[0], (5000, 1)), identities=names)
@@ -494,9 +491,9 @@ def test_a_read_only_folder_can_be_searched(read_only: Path, as_nobody: None) ->
             add(index, "c")
 
 
-def test_a_matrix_that_cannot_be_written_is_a_sentence(index: Index) -> None:
+def test_a_matrix_that_vanished_adds_nothing(index: Index) -> None:
     (index.folder / "descriptors.f16").unlink()
-    with pytest.raises(StoreError, match=r"descriptors\.f16 cannot be written .*nothing was added"):
+    with pytest.raises(StoreError, match=r"descriptors\.f16 is missing: restore it"):
         add(index, "a")
     assert index.known(["a"]) == set()
 

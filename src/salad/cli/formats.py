@@ -1,15 +1,12 @@
-"""What `salad locate` writes: a table for people, JSON, GeoJSON for maps, CSV for spreadsheets."""
+"""What `salad locate` writes: a table for people, JSON for programs, CSV for spreadsheets; maps are in `maps`."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
-
-from salad.geo import shifted
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,7 +14,6 @@ if TYPE_CHECKING:
 
     from salad.place import Answer, Place
 
-CORNERS = 32  # of the polygon that stands for a circle
 COLUMNS = ("query", "lat", "lon", "radius_m", "confidence", "support", "best_match", "best_score")
 
 
@@ -39,12 +35,6 @@ def as_csv(answers: Sequence[Answer]) -> str:
         matched = [best.photo.path, f"{best.score:.4f}"] if best else ["", ""]
         writer.writerow([answer.query, *found, *matched])
     return text.getvalue().removesuffix("\n")
-
-
-def as_geojson(answers: Sequence[Answer]) -> str:
-    """For each place found a point and its radius as a polygon; an unknown place is a feature without geometry."""
-    features = [feature for answer in answers for feature in _features(answer)]
-    return json.dumps({"type": "FeatureCollection", "features": features}, ensure_ascii=False, indent=2)
 
 
 def as_table(answers: Sequence[Answer]) -> Table:
@@ -77,36 +67,3 @@ def _cell(name: str) -> Text:
 
 def _degrees(place: Place) -> list[str]:
     return [f"{place.where.lat:.6f}", f"{place.where.lon:.6f}"]  # 0.1 m
-
-
-def _features(answer: Answer) -> list[dict[str, Any]]:
-    told = answer.as_dict()
-    place = answer.place
-    if place is None:
-        return [_feature(None, {"query": told["query"], "kind": "unknown"})]
-    facts = {key: told["place"][key] for key in ("radius_m", "confidence", "support")}
-    point = {"type": "Point", "coordinates": [place.where.lon, place.where.lat]}
-    return [
-        _feature(point, {"query": told["query"], "kind": "place", **facts}),
-        _feature(_circle(place), {"query": told["query"], "kind": "radius"}),
-    ]
-
-
-def _feature(geometry: dict[str, Any] | None, properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "Feature", "geometry": geometry, "properties": properties}
-
-
-def _circle(place: Place) -> dict[str, Any]:
-    """Counter-clockwise and closed, as GeoJSON wants an outer ring; it runs on over the date line, uncut."""
-    turns = (2 * math.pi * corner / CORNERS for corner in range(CORNERS))
-    ring = [
-        shifted(place.where, place.radius_m * math.sin(turn), place.radius_m * math.cos(turn))
-        for turn in turns
-    ]
-    points = [[_beside(place.where.lon, point.lon), point.lat] for point in (*ring, ring[0])]
-    return {"type": "Polygon", "coordinates": [points]}
-
-
-def _beside(middle: float, lon: float) -> float:
-    """The same longitude, less than half a turn from `middle`."""
-    return lon + 360 * round((middle - lon) / 360)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 FOUND, NOTHING, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _WHOLE = 10_000  # columns: wider than any table
 
 Progress = Callable[[int, int | None], None]
@@ -34,8 +36,12 @@ def listed(names: Iterable[str]) -> Iterator[str]:
 
 
 def say(sentence: str) -> None:
-    """Talk to whoever watches; never part of a result."""
-    print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # the one place for talk
+    """Talk to whoever watches, in one line; never part of a result.
+
+    A photo's name may hold anything: what would break the line or command the terminal is shown by its code.
+    """
+    shown = _CONTROLS.sub(lambda found: repr(found[0])[1:-1], sentence)
+    print(shown, file=sys.stderr, flush=True)  # noqa: T201  # the one place for talk
 
 
 def put(text: str) -> None:

@@ -1,38 +1,35 @@
 """From photos to an index: known ones are skipped, unreadable ones named, the rest described and added.
 
-Worker threads hash and decode photos (Pillow lets go of Python's lock) while the model describes the batch
-before; only a few batches are in memory at any time. Every few batches are committed, so an interrupt loses
+Helpers hash and decode photos while the model describes the batch before; only a few batches are in memory at
+any time. Every few batches are committed, and so is what is described when an interrupt comes, so that it loses
 little and the next run goes on where this one stopped.
 """
 
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from salad.errors import SaladError
+from salad.index.hands import in_order, reader_for, workers
 from salad.index.store import Index
-from salad.photos import Photo, PhotoTable, identity, open_rgb, read_photo, squeeze
+from salad.photos import Photo, PhotoTable, identity, placed
+from salad.reading import Here, Pixels
 
 if TYPE_CHECKING:
     from salad.config import Preprocessing
     from salad.model.describer import Describes
 
-Pixels = npt.NDArray[np.uint8]
-T = TypeVar("T")
-R = TypeVar("R")
+__all__ = ["Indexed", "Pixels", "in_order", "index_photos", "workers"]
 
-COMMIT_BATCHES = 8  # batches between commits: what an interrupt can lose
+COMMIT_BATCHES = 8  # batches between commits: what a loss of power can cost
 _STALE = 1000  # photos to bring up to date in one commit
 
 
@@ -99,15 +96,12 @@ def index_photos(
         StoreError: If the index cannot be written; what was committed before stays.
     """
     index.check_model(model)
-    run = _Run(index, model, len(sources), progress)
-    with workers() as pool:
-        looked = in_order(pool, lambda path: _look(path, table), sources, ahead=4 * batch_size)
-        ready = in_order(
-            pool, lambda item: _decode(item, model.preprocessing), run.unknown(looked), ahead=2 * batch_size
-        )
-        while group := list(islice(ready, COMMIT_BATCHES * batch_size)):
-            run.take_in(group, batch_size)
-    run.bring_up_to_date()
+    run, to = _Run(index, model, len(sources), progress), model.preprocessing
+    with workers() as pool, reader_for(len(sources)) as reader:
+        looked = in_order(pool, lambda path: _look(reader, path, table), sources, ahead=4 * batch_size)
+        unknown = run.unknown(looked)
+        ready = in_order(pool, lambda item: _decode(reader, item, to), unknown, ahead=2 * batch_size)
+        run.take_in(ready, batch_size)
     return run.result
 
 
@@ -120,6 +114,7 @@ class _Run:
         self.result = Indexed()
         self._index, self._model, self._total, self._progress = index, model, total, progress
         self._stale: list[_Item] = []
+        self._described: list[tuple[_Item, npt.NDArray[np.float32]]] = []
         self._done = 0
 
     def unknown(self, looked: Iterable[_Item]) -> Iterator[_Item]:
@@ -129,50 +124,67 @@ class _Run:
                 self._give_up(item)
             elif found := self._index.find([item.content]):
                 self._skip(item, found[item.content])
+                self._count(1)
             else:
                 yield item
 
-    def take_in(self, group: Sequence[_Item], batch_size: int) -> None:
-        """Describe what was decoded and commit it; copies within the group are described but kept once."""
-        self.bring_up_to_date()  # first: a photo that moved away must not be taken for one that was replaced
-        for item in group:
+    def take_in(self, ready: Iterator[_Item], batch_size: int) -> None:
+        """Describe what was decoded, batch by batch, and commit it, also where an interrupt comes between."""
+        try:
+            while batch := list(islice(ready, batch_size)):
+                self._describe(batch)
+                if len(self._described) >= COMMIT_BATCHES * batch_size:
+                    self._commit()
+        except SaladError:  # nothing that another try would mend
+            raise
+        except BaseException:
+            self._commit()
+            raise
+        self._commit()
+
+    def _describe(self, batch: Sequence[_Item]) -> None:
+        for item in batch:
             if item.pixels is None:
                 self._give_up(item)
-        good = [item for item in group if item.pixels is not None]
-        rows = [self._describe(good[low : low + batch_size]) for low in range(0, len(good), batch_size)]
+        good = [item for item in batch if item.pixels is not None]
+        if good:
+            pixels = [item.pixels for item in good if item.pixels is not None]
+            rows = self._model.describe(pixels, batch_size=len(good))
+            slim = (replace(item, pixels=None) for item in good)
+            self._described += zip(slim, rows, strict=True)
+            self._count(len(good))
+
+    def _commit(self) -> None:
+        """Add what is described; copies among it are kept once."""
+        self._bring_up_to_date()  # first: a photo that moved away must not be taken for one that was replaced
         first: dict[str, int] = {}
-        for number, item in enumerate(good):
+        for number, (item, _) in enumerate(self._described):
             first.setdefault(item.content, number)
-        before = self._index.find(
-            list(first)
-        )  # a copy in the group before was not yet committed when we looked
+        # What was committed since we looked is there already: a copy among the photos before.
+        before = self._index.find(list(first))
         fresh = [number for content, number in first.items() if content not in before]
         if fresh:
-            self._add([good[number] for number in fresh], np.concatenate(rows)[fresh])
+            self._add([self._described[number] for number in fresh])
+        described, self._described = self._described, []
         held = self._index.find(list(first))
-        for number in sorted(set(range(len(good))) - set(fresh)):
-            item = good[number]
-            self._skip(item, held.get(item.content, item.known), counted=True)
-        self.bring_up_to_date()
+        for number in sorted(set(range(len(described))) - set(fresh)):
+            item, _ = described[number]
+            self._skip(item, held.get(item.content, item.known))
+        self._bring_up_to_date()
 
-    def bring_up_to_date(self) -> None:
+    def _add(self, described: Sequence[tuple[_Item, npt.NDArray[np.float32]]]) -> None:
+        items = [item for item, _ in described]
+        rows = np.stack([row for _, row in described])
+        contents = [item.content for item in items]
+        self.result.added += self._index.add([item.known for item in items], rows, identities=contents)
+
+    def _bring_up_to_date(self) -> None:
         """Commit new paths and positions of photos the index held already."""
         if self._stale:
             self._index.update([item.known for item in self._stale], [item.content for item in self._stale])
             self._stale.clear()
 
-    def _describe(self, batch: Sequence[_Item]) -> npt.NDArray[np.float32]:
-        described = self._model.describe(
-            [item.pixels for item in batch if item.pixels is not None], batch_size=len(batch)
-        )
-        self._count(len(batch))
-        return described
-
-    def _add(self, items: Sequence[_Item], descriptors: npt.NDArray[np.float32]) -> None:
-        contents = [item.content for item in items]
-        self.result.added += self._index.add([item.known for item in items], descriptors, identities=contents)
-
-    def _skip(self, item: _Item, held: Photo, *, counted: bool = False) -> None:
+    def _skip(self, item: _Item, held: Photo) -> None:
         self.result.skipped += 1
         path = Path(os.path.realpath(item.path))
         if path != held.path and _in_place(held.path, item.content):
@@ -183,9 +195,7 @@ class _Run:
             self.result.moved += path != held.path
             self._stale.append(item)
             if len(self._stale) >= _STALE:
-                self.bring_up_to_date()
-        if not counted:
-            self._count(1)
+                self._bring_up_to_date()
 
     def _give_up(self, item: _Item) -> None:
         self.result.unreadable.append(item.trouble)
@@ -197,38 +207,18 @@ class _Run:
             self._progress(self._done, self._total)
 
 
-@contextmanager
-def workers() -> Iterator[Executor]:
-    """Threads for hashing and decoding; on an error or an interrupt what they have not begun is dropped."""
-    pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="salad-photos")
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def in_order(pool: Executor, work: Callable[[T], R], items: Iterable[T], *, ahead: int) -> Iterator[R]:
-    """`map` over `pool` that keeps the order and never has more than `ahead` items in hand."""
-    source = iter(items)
-    waiting: deque[Future[R]] = deque()
-    while True:
-        waiting.extend(pool.submit(work, item) for item in islice(source, ahead - len(waiting)))
-        if not waiting:
-            return
-        yield waiting.popleft().result()
-
-
-def _look(path: Path, table: PhotoTable | None) -> _Item:
+def _look(reader: Here, path: Path, table: PhotoTable | None) -> _Item:
     """What is known of a photo without decoding it."""
     try:
-        return _Item(path, read_photo(path, table), identity(path))
+        photo, content = reader.look(path)
     except SaladError as error:
         return _Item(path, trouble=str(error))
+    return _Item(path, placed(photo, table), content)
 
 
-def _decode(item: _Item, to: Preprocessing) -> _Item:
+def _decode(reader: Here, item: _Item, to: Preprocessing) -> _Item:
     try:
-        return replace(item, pixels=squeeze(open_rgb(item.path), to.height, to.width, to.resample))
+        return replace(item, pixels=reader.decode(item.path, to.height, to.width, to.resample))
     except SaladError as error:
         return replace(item, trouble=str(error))
 

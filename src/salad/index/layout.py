@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from salad.errors import StoreError
@@ -18,10 +19,26 @@ MATRIX = "descriptors.f16"
 def make(folder: Path, header: Header) -> Path:
     """Make an empty index in `folder`, which must not exist or be empty, at one stroke.
 
-    It is made beside the folder and renamed into place.
-
     Raises:
         StoreError: If the folder is in use or cannot be written; nothing is left behind.
+    """
+    with drafted(folder, "index") as draft:
+        (draft / MATRIX).touch()
+        Ledger.create(draft / NAME, matrix=MATRIX)
+        header.write(draft)
+    return folder
+
+
+@contextmanager
+def drafted(folder: Path, what: str) -> Iterator[Path]:
+    """A folder to fill, which becomes `folder` when this ends well, and vanishes when it does not.
+
+    Args:
+        folder: An absolute path where nothing is, or an empty folder.
+        what: What is made, for the sentence.
+
+    Raises:
+        StoreError: If the folder is in use or cannot be written.
     """
     draft = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
     try:
@@ -30,19 +47,49 @@ def make(folder: Path, header: Header) -> Path:
                 f"{folder} already exists and is not empty: name another folder, or open it to add to it"
             )
         draft.mkdir(parents=True)
-        (draft / MATRIX).touch()
-        Ledger.create(draft / NAME, matrix=MATRIX)
-        header.write(draft)
+        yield draft
+        settle(draft)
         if folder.exists():
             folder.rmdir()
         draft.rename(folder)
     except OSError as error:
         raise StoreError(
-            f"no index can be made at {folder} ({error.strerror}): name another folder, or check permissions"
+            f"no {what} can be made at {folder} ({error.strerror or error}): name another folder, make room, or "
+            "check permissions"
         ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-    return folder
+
+
+def size(folder: Path) -> int:
+    """Bytes of the files in `folder`; one that goes away meanwhile counts nothing."""
+    total = 0
+    for file in folder.iterdir():
+        with suppress(FileNotFoundError):
+            total += file.stat().st_size
+    return total
+
+
+def settle(folder: Path) -> None:
+    """See the names in `folder` onto the disk, where a folder can be opened for that."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def is_gone(path: Path) -> bool:
+    """Whether nothing is at `path`; what may not be looked at, or leads in a circle, may well be there."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # no file has a name with a NUL in it
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def resolved(paths: Iterable[str | Path]) -> list[Path]:
@@ -57,5 +104,8 @@ def resolved(paths: Iterable[str | Path]) -> list[Path]:
             continue
         if folder not in folders:
             folders[folder] = os.path.realpath(folder)
-        found.append(Path(folders[folder], name))
+        if isinstance(given, Path) and folders[folder] == folder:
+            found.append(given)  # as it is: to make a Path costs more than all else
+        else:
+            found.append(Path(folders[folder], name))
     return found

@@ -9,52 +9,25 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sqlite3
-import threading
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from salad.errors import StoreError
-from salad.geo import GeoPoint
+from salad.index import records
+from salad.index.database import Database
 from salad.photos import Photo
 
 NAME = "photos.sqlite"
+UNKNOWN = -1  # in place of a checksum that was never written
 
-# Paths are bytes on most systems and need not be text; they are stored as the bytes they are (os.fsencode),
-# typed as TEXT so that anyone can read the table.
-_SCHEMA = """
-CREATE TABLE photos (
-    row INTEGER PRIMARY KEY,
-    path TEXT NOT NULL,
-    identity TEXT NOT NULL,
-    lat REAL, lon REAL, heading REAL, time TEXT,
-    removed INTEGER NOT NULL DEFAULT 0
-);
-CREATE UNIQUE INDEX live_identity ON photos(identity) WHERE removed = 0;
-CREATE INDEX live_path ON photos(path) WHERE removed = 0;
-CREATE INDEX dead_row ON photos(row) WHERE removed = 1;
-CREATE TABLE committed (
-    id INTEGER PRIMARY KEY CHECK (id = 1),
-    rows INTEGER NOT NULL, generation INTEGER NOT NULL, matrix TEXT NOT NULL
-);
-"""
-_INSERT = """
-INSERT INTO photos (path, lat, lon, heading, time, identity, row) VALUES (CAST(? AS TEXT), ?, ?, ?, ?, ?, ?)
-"""
-_UPDATE = """
-UPDATE photos SET path = CAST(? AS TEXT), lat = COALESCE(?, lat), lon = COALESCE(?, lon),
-    heading = COALESCE(?, heading), time = COALESCE(?, time)
-WHERE identity = ? AND removed = 0
-"""
-_REMOVE = """
-UPDATE photos SET removed = 1 WHERE removed = 0
-AND (path = CAST(:path AS TEXT) OR (path >= CAST(:low AS TEXT) AND path < CAST(:high AS TEXT)))
-"""
-_PHOTO = "row, path, lat, lon, heading, time"
-_FULL_LENGTH = 1000  # photos fetched at once when all are listed
+_MATRIX = re.compile(r"[^/\\:\0]+\.f16")
+_PAGE = 1000  # photos fetched, or paths asked for, at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,131 +39,193 @@ class Committed:
     matrix: str
 
 
-class Ledger:
-    """The table of photos. Every method but the two that open a transaction runs inside one."""
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """The live photos, counted; `earliest` and `latest` are times in ISO 8601, None where none is known."""
 
-    def __init__(self, path: Path, *, wait: float) -> None:
-        """Open `path`; `wait` is how many seconds to wait for another writer."""
-        self.path = path
-        self._lock = threading.RLock()  # one connection, shared by threads, one transaction at a time
-        with self._told():
-            self._db = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode=rw",
-                uri=True,
-                timeout=wait,
-                isolation_level=None,
-                check_same_thread=False,
-            )
-            self._db.execute("PRAGMA synchronous = FULL")
-        self._db.text_factory = os.fsdecode
+    photos: int
+    with_heading: int
+    with_time: int
+    earliest: str | None
+    latest: str | None
+
+
+class Ledger(Database):
+    """The table of photos. Whatever reads or writes it runs inside `reading` or `writing`."""
 
     @staticmethod
     def create(path: Path, *, matrix: str) -> None:
         """Make an empty table at `path` for the matrix file named `matrix`."""
         db = sqlite3.connect(path)
         try:
-            db.executescript(_SCHEMA)
+            db.executescript(records.SCHEMA)
             db.execute("INSERT INTO committed VALUES (1, 0, 0, ?)", (matrix,))
             db.commit()
         finally:
             db.close()
 
-    def close(self) -> None:
-        """Let go of the file."""
-        with self._lock:
-            self._db.close()
-
-    @contextmanager
-    def reading(self) -> Iterator[None]:
-        """One consistent look: everything read inside belongs to the same commit."""
-        with self._lock, self._told():
-            self._db.execute("BEGIN")
-            try:
-                yield
-            finally:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-
-    @contextmanager
-    def writing(self) -> Iterator[None]:
-        """One change, whole or not at all; the lock is taken at once, so two writers never both begin."""
-        with self._lock, self._told():
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
-
     def committed(self) -> Committed:
-        """What the last commit said."""
+        """What the last commit said.
+
+        Raises:
+            StoreError: If there is none, or it makes no sense.
+        """
         row = self._db.execute("SELECT rows, generation, matrix FROM committed").fetchone()
         if row is None:
             raise StoreError(
                 f"{self.path} is damaged (no commit in it): restore it, or index the photos again"
             )
-        return Committed(*row)
+        rows, generation, matrix = row
+        counts = isinstance(rows, int) and isinstance(generation, int) and rows >= 0
+        # A name with a folder in it, or of another file, would have us write where we must not.
+        if not counts or not isinstance(matrix, str) or not _MATRIX.fullmatch(matrix):
+            raise StoreError(
+                f"{self.path} is damaged (its commit says {row}): restore it, or index the photos again"
+            )
+        # No photo, no row: a damaged number, as large as it may be, must not have us ask for so much memory.
+        (listed,) = self._db.execute("SELECT COALESCE(MAX(row), -1) + 1 FROM photos").fetchone()
+        return Committed(min(rows, listed), generation, matrix)
 
-    def commit_rows(self, rows: int) -> None:
-        """Say that from this commit on `rows` rows of the matrix count."""
-        self._db.execute("UPDATE committed SET rows = ?, generation = generation + 1", (rows,))
+    def commit_rows(self, rows: int, *, matrix: str | None = None) -> None:
+        """Say that from this commit on `rows` rows count, of the matrix file named `matrix` if it is another."""
+        self._db.execute(
+            "UPDATE committed SET rows = ?, generation = generation + 1, matrix = COALESCE(?, matrix)",
+            (rows, matrix),
+        )
 
-    def dead_rows(self) -> list[int]:
-        """Rows whose photo was removed, ascending."""
-        return [row for (row,) in self._db.execute("SELECT row FROM photos WHERE removed = 1 ORDER BY row")]
+    # --- reading -------------------------------------------------------------------------
+
+    def dead_rows(self) -> npt.NDArray[np.int64]:
+        """Rows that count and whose photo was removed, ascending."""
+        rows = self.committed().rows
+        found = self._db.execute(
+            "SELECT row FROM photos WHERE removed = 1 AND row BETWEEN 0 AND ? ORDER BY row", (rows - 1,)
+        )
+        return np.fromiter((row for (row,) in found), dtype=np.int64)
+
+    def live_rows(self, *, start: int = 0) -> npt.NDArray[np.int64]:
+        """Rows from `start` on whose photo can be found, ascending."""
+        found = self._db.execute(
+            "SELECT row FROM photos WHERE removed = 0 AND row >= ? ORDER BY row", (start,)
+        )
+        return np.fromiter((row for (row,) in found), dtype=np.int64)
+
+    def count(self, *, start: int = 0) -> int:
+        """How many photos can be found, from row `start` on."""
+        found = self._db.execute("SELECT COUNT(*) FROM photos WHERE removed = 0 AND row >= ?", (start,))
+        return int(found.fetchone()[0])
+
+    def sums(self) -> npt.NDArray[np.int64]:
+        """The checksum of each row that counts, `UNKNOWN` where none was written: `[rows]`."""
+        rows = self.committed().rows
+        noted = np.full(rows, UNKNOWN, dtype=np.int64)
+        if self._has_sums():
+            pairs = self._sums("row BETWEEN 0 AND ?", rows - 1)
+            noted[pairs["row"]] = pairs["sum"]
+        return noted
+
+    def sums_at(self, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """The checksums of `rows`, which ascend, `UNKNOWN` where none was written: `[len(rows)]`."""
+        noted = np.full(len(rows), UNKNOWN, dtype=np.int64)
+        if self._has_sums():
+            pairs = self._sums("row IN (SELECT value FROM json_each(?))", json.dumps(rows.tolist()))
+            noted[np.searchsorted(rows, pairs["row"])] = pairs["sum"]
+        return noted
+
+    def facts(self) -> Facts:
+        """How many photos can be found, and what is known of them."""
+        found = self._db.execute(
+            "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time), MAX(time) FROM photos WHERE removed = 0"
+        )
+        return Facts(*found.fetchone())
+
+    def rows_of(self, identities: Iterable[str]) -> dict[str, int]:
+        """The rows of the live photos with these contents, by content."""
+        return dict(
+            self._db.execute(
+                "SELECT identity, row FROM photos "
+                "WHERE removed = 0 AND identity IN (SELECT value FROM json_each(?))",
+                (json.dumps(list(identities)),),
+            ).fetchall()
+        )
+
+    def positions(self) -> npt.NDArray[np.float64]:
+        """Latitude and longitude of every live photo that has them: `[N, 2]`."""
+        found = self._db.execute(
+            "SELECT CAST(lat AS REAL), CAST(lon AS REAL) FROM photos "
+            "WHERE removed = 0 AND lat IS NOT NULL AND lon IS NOT NULL"
+        )
+        pairs = np.fromiter(found, dtype=[("lat", np.float64), ("lon", np.float64)])
+        return pairs.view(np.float64).reshape(-1, 2)
+
+    def known(self, identities: Iterable[str]) -> set[str]:
+        """Which of these contents live photos have."""
+        return set(self.rows_of(identities))
 
     def find(self, identities: Iterable[str]) -> dict[str, Photo]:
         """The live photos with these contents, by content."""
         found = self._db.execute(
-            f"SELECT {_PHOTO}, identity FROM photos "
+            f"SELECT {records.PHOTO}, identity FROM photos "
             "WHERE removed = 0 AND identity IN (SELECT value FROM json_each(?))",
             (json.dumps(list(identities)),),
         )
-        return {identity: _photo(fields)[1] for *fields, identity in found}
+        return {identity: records.photo(fields)[1] for *fields, identity in found}
 
-    def at_rows(self, rows: Iterable[int]) -> dict[int, Photo]:
-        """The photos of these rows, removed ones too: a search may have begun before a removal."""
+    def at_rows(self, rows: Iterable[int]) -> dict[int, tuple[Photo, str]]:
+        """Photo and content of these rows, removed ones too: a search may have begun before a removal."""
         found = self._db.execute(
-            f"SELECT {_PHOTO} FROM photos WHERE row IN (SELECT value FROM json_each(?))",
+            f"SELECT {records.PHOTO}, identity FROM photos WHERE row IN (SELECT value FROM json_each(?))",
             (json.dumps([int(row) for row in rows]),),
         )
-        return dict(_photo(fields) for fields in found)
+        return {fields[0]: (records.photo(fields)[1], identity) for *fields, identity in found}
 
-    def after(self, row: int) -> list[tuple[int, Photo]]:
-        """The next live photos behind `row`, at most a thousand, by row."""
+    def at_paths(self, paths: Iterable[Path], *, below: int | None = None) -> list[tuple[int, Path, str]]:
+        """Row, path and content of the live photos at these paths, of those before row `below` where given."""
+        wanted = list(map(os.fsencode, paths))
+        found: list[tuple[int, str, str]] = []
+        for low in range(0, len(wanted), _PAGE):
+            some = wanted[low : low + _PAGE]
+            marks = ",".join(["CAST(? AS TEXT)"] * len(some))
+            found += self._db.execute(
+                f"SELECT row, path, identity FROM photos WHERE removed = 0 AND path IN ({marks}) AND row < ?",
+                (*some, 1 << 62 if below is None else below),
+            )
+        return [(row, Path(path), identity) for row, path, identity in found]
+
+    def after(self, row: int) -> list[tuple[int, Photo, str]]:
+        """The next live photos behind `row` with their contents, at most a thousand, by row."""
         found = self._db.execute(
-            f"SELECT {_PHOTO} FROM photos WHERE removed = 0 AND row > ? ORDER BY row LIMIT {_FULL_LENGTH}",
+            f"SELECT {records.PHOTO}, identity FROM photos WHERE removed = 0 AND row > ? "
+            f"ORDER BY row LIMIT {_PAGE}",
             (row,),
         )
-        return [_photo(fields) for fields in found]
+        return [(*records.photo(fields), identity) for *fields, identity in found]
 
-    def positions(self) -> list[tuple[float, float]]:
-        """Latitude and longitude of every live photo that has them."""
-        return self._db.execute(
-            "SELECT lat, lon FROM photos WHERE removed = 0 AND lat IS NOT NULL"
-        ).fetchall()
+    # --- writing -------------------------------------------------------------------------
 
-    def insert(self, photos: Sequence[Photo], identities: Sequence[str], *, row: int) -> None:
-        """Write new photos, the first of them for matrix row `row`."""
-        fields = zip(photos, identities, strict=True)
-        self._db.executemany(_INSERT, [(*_fields(p), i, row + n) for n, (p, i) in enumerate(fields)])
+    def insert(
+        self, photos: Sequence[Photo], identities: Sequence[str], sums: Sequence[int], *, row: int
+    ) -> None:
+        """Write new photos with the checksums of their descriptors, the first of them for matrix row `row`."""
+        self._need_sums()
+        given = zip(photos, identities, sums, strict=True)
+        self._db.executemany(
+            records.INSERT, ((*records.fields(p), i, row + n, s) for n, (p, i, s) in enumerate(given))
+        )
 
     def update(self, photos: Sequence[Photo], identities: Sequence[str]) -> None:
         """Give known contents their path and what is newly known of them; the unknown takes nothing away."""
-        self._db.executemany(_UPDATE, [(*_fields(p), i) for p, i in zip(photos, identities, strict=True)])
+        given = zip(photos, identities, strict=True)
+        self._db.executemany(records.UPDATE, [(*records.fields(photo), i) for photo, i in given])
 
-    def retire(self, paths: Iterable[Path], identities: Iterable[str]) -> None:
-        """Remove live photos at `paths` whose content is none of `identities`: their file was replaced."""
+    def retire(self, paths: Iterable[Path], identities: Iterable[str], *, below: int | None = None) -> None:
+        """Remove live photos at `paths` whose content is none of `identities`: their file was replaced.
+
+        Only those before row `below` are looked at, where it is given.
+        """
         current = set(identities)
-        for path in paths:
-            found = self._db.execute(
-                "SELECT row, identity FROM photos WHERE removed = 0 AND path = CAST(? AS TEXT)",
-                (os.fsencode(path),),
-            ).fetchall()
-            stale = [(row,) for row, identity in found if identity not in current]
-            self._db.executemany("UPDATE photos SET removed = 1 WHERE row = ?", stale)
+        stale = [(row,) for row, _, held in self.at_paths(paths, below=below) if held not in current]
+        self._db.executemany("UPDATE photos SET removed = 1 WHERE row = ?", stale)
 
     def remove(self, path: Path) -> int:
         """Remove the photo at `path`, or all those below it; how many."""
@@ -200,52 +235,36 @@ class Ledger:
             "low": below + os.sep.encode(),
             "high": below + chr(ord(os.sep) + 1).encode(),
         }
-        return self._db.execute(_REMOVE, bounds).rowcount
+        return self._db.execute(records.REMOVE, bounds).rowcount
 
-    def complaints(self) -> list[str]:
-        """What is wrong with the table; empty means sound."""
-        rows = self.committed().rows
-        said = [text for (text,) in self._db.execute("PRAGMA integrity_check") if text != "ok"]
-        count, top = self._db.execute("SELECT COUNT(*), COALESCE(MAX(row), -1) FROM photos").fetchone()
-        if (count, top) != (rows, rows - 1):
-            said.append(f"it lists {count} photos up to row {top}, but {rows} rows were committed")
-        return [f"{self.path} is damaged: {text}" for text in said]
+    def renumber(self, rows: npt.NDArray[np.int64], sums: npt.NDArray[np.int64]) -> None:
+        """Keep the photos of `rows`, ascending, forget all others, and number them from 0 in their order.
 
-    @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Turn SQLite's errors into a sentence."""
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise StoreError(_sentence(self.path, error)) from error
+        Args:
+            rows: `[N]`, of live photos.
+            sums: `[N]`, checksums of their descriptors.
+        """
+        self._need_sums()
+        kept = set(rows.tolist())
+        others = [(row,) for (row,) in self._db.execute("SELECT row FROM photos") if row not in kept]
+        self._db.executemany("DELETE FROM photos WHERE row = ?", others)
+        numbers = np.arange(len(rows))
+        news = (numbers != rows) | (self.sums()[rows] != sums)
+        # One after the other, upwards: each moves down into a place that is free by then.
+        moves = zip(numbers[news].tolist(), sums[news].tolist(), rows[news].tolist(), strict=True)
+        self._db.executemany("UPDATE photos SET row = ?, sum = ? WHERE row = ?", moves)
 
+    def _sums(self, which: str, given: object) -> npt.NDArray[np.void]:
+        sql = f"SELECT row, CAST(sum AS INTEGER) FROM photos WHERE sum IS NOT NULL AND {which}"
+        pairs: npt.NDArray[np.void] = np.fromiter(
+            self._db.execute(sql, (given,)), dtype=[("row", np.int64), ("sum", np.int64)]
+        )
+        return pairs
 
-def _fields(photo: Photo) -> tuple[bytes, float | None, float | None, float | None, str | None]:
-    where = photo.where
-    return (
-        os.fsencode(photo.path),
-        where.lat if where else None,
-        where.lon if where else None,
-        photo.heading,
-        photo.time.isoformat() if photo.time else None,
-    )
+    def _has_sums(self) -> bool:
+        return "sum" in [name for _, name, *_ in self._db.execute("PRAGMA table_info(photos)")]
 
-
-def _photo(fields: Sequence[object]) -> tuple[int, Photo]:
-    row, path, lat, lon, heading, time = fields
-    assert isinstance(row, int)
-    assert isinstance(path, str)
-    where = GeoPoint(lat, lon) if isinstance(lat, float) and isinstance(lon, float) else None
-    when = datetime.fromisoformat(time) if isinstance(time, str) else None
-    return row, Photo(Path(path), where, heading if isinstance(heading, float) else None, when)
-
-
-def _sentence(path: Path, error: sqlite3.Error) -> str:
-    kind = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the low byte is the kind, the rest its detail
-    if kind in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        return f"{path.parent} is being written by another program: wait until it is done and try again"
-    if kind in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
-        return f"{path} cannot be opened for this ({error}): check that you may write to its folder"
-    if kind in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-        return f"{path} cannot be written ({error}): nothing was changed; make room on the disk and try again"
-    return f"{path} is damaged ({error}): restore it, or index the photos again"
+    def _need_sums(self) -> None:
+        """An index of salad 0.1.0 has no column for checksums: whoever writes adds it."""
+        if not self._has_sums():
+            self._db.execute(records.ADD_SUMS)

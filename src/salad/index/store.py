@@ -18,9 +18,12 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from salad.errors import StoreError, WrongModelError
-from salad.index import health, layout, ledger, matrix
+from salad.index import adding, health, layout, ledger, matrix, walk
+from salad.index.compact import Compacted, compact
+from salad.index.filters import Filter, allowed
 from salad.index.header import Header
 from salad.index.search import Floats, Match, Snapshot, as_queries, best_rows
+from salad.index.trust import Trust
 from salad.photos import Photo, identity
 
 if TYPE_CHECKING:
@@ -38,7 +41,7 @@ class Index:
         self.folder = folder
         self.header = header
         self._ledger = table
-        self._last: Snapshot | None = None
+        self._last: tuple[Snapshot, Trust] | None = None
 
     @classmethod
     def create(cls, folder: str | Path, *, dim: int, fingerprint: str, model: str) -> Index:
@@ -61,6 +64,8 @@ class Index:
     @classmethod
     def open(cls, folder: str | Path, *, wait: float = 10.0) -> Index:
         """Open the index in `folder`; a folder that cannot be written can still be searched.
+
+        Where the file of descriptors is cut short, the photos it lost are not found; `verify` names them.
 
         Args:
             folder: Where.
@@ -94,7 +99,10 @@ class Index:
         return self.header.model
 
     def __len__(self) -> int:
-        return int(self._snapshot().alive.sum())
+        with self._ledger.reading():
+            return self._ledger.count()
+
+    # --- changing ------------------------------------------------------------------------
 
     def add(
         self, photos: Sequence[Photo], descriptors: Floats, *, identities: Sequence[str] | None = None
@@ -114,77 +122,103 @@ class Index:
             How many were new.
 
         Raises:
-            StoreError: If the descriptors do not fit, another program is writing, or the disk is full.
+            StoreError: If the descriptors do not fit, another program is writing, the disk is full, or the
+                file of descriptors is cut short.
             PhotoError: If a photo's content cannot be read to tell its identity.
         """
         rows = matrix.storable(descriptors, len(photos), self.dim)
         contents = [identity(photo.path) for photo in photos] if identities is None else list(identities)
-        placed = _placed(photos)
-        with self._ledger.writing():
-            last = self._ledger.committed()
-            known = self._ledger.find(contents)
-            first = {content: n for n, content in reversed(list(enumerate(contents))) if content not in known}
-            fresh = sorted(first.values())
-            if fresh:
-                matrix.append(self.folder / last.matrix, rows[fresh], at=last.rows)
-                self._ledger.insert([placed[n] for n in fresh], [contents[n] for n in fresh], row=last.rows)
-            self._place(placed, contents)
-            self._ledger.commit_rows(last.rows + len(fresh))
-        return len(fresh)
+        return adding.add(self.folder, self._ledger, _placed(photos), contents, rows)
 
     def update(self, photos: Sequence[Photo], identities: Sequence[str]) -> None:
         """Give contents the index holds their path and what is newly known of them; pass over others."""
         placed = _placed(photos)
         with self._ledger.writing():
-            self._place(placed, identities)
+            self._ledger.update(placed, identities)
+            self._ledger.retire([photo.path for photo in placed], identities)
             self._ledger.commit_rows(self._ledger.committed().rows)
-
-    def known(self, identities: Sequence[str]) -> set[str]:
-        """Which of these contents the index holds."""
-        return set(self.find(identities))
-
-    def find(self, identities: Sequence[str]) -> dict[str, Photo]:
-        """The photos with these contents, by content."""
-        with self._ledger.reading():
-            return self._ledger.find(identities)
-
-    def search(self, descriptors: Floats, *, k: int = 5) -> list[list[Match]]:
-        """The best k matches of each query: exact, best first, ties in order of row.
-
-        Args:
-            descriptors: `[Q, dim]`, or `[dim]` for one query.
-            k: How many; a smaller index gives fewer.
-
-        Raises:
-            StoreError: If the descriptors are of another dimension or not finite, or k is below 1.
-        """
-        queries = as_queries(descriptors, self.dim)
-        snapshot = self._snapshot()
-        found = best_rows(snapshot.descriptors, queries, k=k, allowed=snapshot.alive)
-        with self._ledger.reading():
-            photos = self._ledger.at_rows({row for best in found for row, _ in best})
-        return [[Match(photos[row], score, row) for row, score in best] for best in found]
 
     def remove(self, paths: Sequence[str | Path]) -> int:
         """Forget the photos at these paths, or below them; how many. Their rows never come out again.
 
         The files themselves are not touched and need not exist.
         """
-        with self._ledger.writing():
-            removed = sum(self._ledger.remove(path) for path in layout.resolved(paths))
-            self._ledger.commit_rows(self._ledger.committed().rows)
-        return removed
+        return self._remove(layout.resolved(paths))
+
+    def remove_missing(self, below: Sequence[str | Path] = ()) -> list[Path]:
+        """Forget the photos that `missing` names, and say which they were."""
+        gone = self.missing(below)
+        if gone:
+            self._remove(gone)
+        return gone
+
+    def compact(self) -> Compacted:
+        """Give back the room of removed photos, and let go of those whose descriptors are damaged or lost.
+
+        Others may search meanwhile; another writer waits.
+
+        Raises:
+            StoreError: If another program is writing, or the disk has no room; nothing changed.
+        """
+        return compact(self.folder, self._ledger, dim=self.dim)
+
+    # --- finding -------------------------------------------------------------------------
+
+    def known(self, identities: Sequence[str]) -> set[str]:
+        """Which of these contents the index holds."""
+        with self._ledger.reading():
+            return self._ledger.known(identities)
+
+    def find(self, identities: Sequence[str]) -> dict[str, Photo]:
+        """The photos with these contents, by content."""
+        with self._ledger.reading():
+            return self._ledger.find(identities)
+
+    def taken(self, paths: Sequence[Path]) -> set[Path]:
+        """At which of these absolute paths the index holds a photo."""
+        with self._ledger.reading():
+            return {path for _, path, _ in self._ledger.at_paths(paths)}
+
+    def search(self, descriptors: Floats, *, k: int = 5, where: Filter | None = None) -> list[list[Match]]:
+        """The best k matches of each query: exact, best first, ties in order of row.
+
+        A photo whose descriptor is damaged is not among them.
+
+        Args:
+            descriptors: `[Q, dim]`, or `[dim]` for one query.
+            k: How many; a smaller index gives fewer.
+            where: Which photos may be found; it holds before the ranking.
+
+        Raises:
+            StoreError: If the descriptors are of another dimension or not finite, or k is below 1.
+        """
+        queries = as_queries(descriptors, self.dim)
+        while True:
+            with self._ledger.reading():
+                seen, trust = self._seen()
+                may = trust.alive() if where is None else allowed(where, self._ledger, trust.alive())
+            found = best_rows(seen.rows, queries, k=k, allowed=may)
+            rows = {row for best in found for row, _ in best}
+            with self._ledger.reading():
+                # Again, where a compaction came between the search and the names, or damage came out on top.
+                held = walk.at_rows(self._ledger, seen, rows)
+                if held is not None and trust.passes(self._ledger, rows):
+                    break
+        return [[Match(held[row][0], score, row) for row, score in best if row in held] for best in found]
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
-        row = -1
-        while True:
-            with self._ledger.reading():
-                some = self._ledger.after(row)
-            if not some:
-                return
-            yield from (photo for _, photo in some)
-            row = some[-1][0]
+        return (photo for photo, _ in walk.listed(self._ledger))
+
+    def pages(self) -> Iterator[walk.Page]:
+        """Every photo with its content and descriptor, as one commit holds them, some at a time.
+
+        Raises:
+            StoreError: If another program compacts the index meanwhile.
+        """
+        return walk.pages(self._ledger, self._snapshot)
+
+    # --- tending -------------------------------------------------------------------------
 
     def check_model(self, model: Describes) -> None:
         """Make sure that `model` is the one the index was made with.
@@ -200,36 +234,25 @@ class Index:
             )
 
     def verify(self) -> list[str]:
-        """Read everything and say what is wrong, a sentence each; empty means sound."""
-        snapshot = self._snapshot()
-        bad = health.bad_rows(snapshot.descriptors, snapshot.alive, tolerance=matrix.UNIT_TOLERANCE)
-        with self._ledger.reading():
-            said = self._ledger.complaints()
-            photos = self._ledger.at_rows(bad)
-        return said + [
-            f"{photo.path} has a damaged descriptor: remove it and index it again"
-            for photo in photos.values()
-        ]
+        """Read everything and say what is wrong, a sentence each; empty means sound.
 
-    def missing(self) -> list[Path]:
-        """Photos the index holds whose files are gone."""
-        return [photo.path for photo in self.photos() if not photo.path.exists()]
+        Photos whose descriptors are damaged or lost are named; all others can be used as before.
+        """
+        return walk.verify(self._ledger, self._snapshot)
+
+    def missing(self, below: Sequence[str | Path] = ()) -> list[Path]:
+        """Photos the index holds whose files are gone, of those below these folders where any are named.
+
+        A file that may not be looked at is not gone.
+        """
+        roots = layout.resolved(below)
+        paths = (photo.path for photo in self.photos())
+        asked = (path for path in paths if not roots or any(path.is_relative_to(root) for root in roots))
+        return [path for path in asked if layout.is_gone(path)]
 
     def info(self) -> health.IndexInfo:
         """What the index holds, in numbers."""
-        with self._ledger.reading():
-            positions = self._ledger.positions()
-        return health.IndexInfo(
-            photos=len(self),
-            with_position=len(positions),
-            model=self.model,
-            fingerprint=self.fingerprint,
-            dim=self.dim,
-            bytes=sum(file.stat().st_size for file in self.folder.iterdir()),
-            created=self.header.created,
-            box=health.box(positions),
-            format_version=self.header.format_version,
-        )
+        return health.survey(self.folder, self.header, self._ledger)
 
     def close(self) -> None:
         """Let go of the files; the index cannot be used afterwards."""
@@ -245,21 +268,30 @@ class Index:
         self.close()
 
     def _snapshot(self) -> Snapshot:
-        """The latest commit, mapped; the same object until somebody commits again."""
+        return self._seen()[0]
+
+    def _seen(self) -> tuple[Snapshot, Trust]:
+        """The latest commit and what was checked of it; the same until somebody commits again."""
+        # The file it names cannot be deleted under us: that takes a commit, and nobody commits during a look.
         with self._ledger.reading():
             last = self._ledger.committed()
-            if self._last is None or self._last.generation != last.generation:
+            if self._last is None or self._last[0].generation != last.generation:
+                rows = matrix.Rows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
                 alive = np.ones(last.rows, dtype=np.bool_)
                 alive[self._ledger.dead_rows()] = False
-                view = matrix.view(self.folder / last.matrix, last.rows, self.dim)
-                self._last = Snapshot(last.generation, view, alive)
+                alive[rows.held :] = False
+                seen = Snapshot(last.generation, rows, alive)
+                self._last = seen, Trust(seen)
             return self._last
 
-    def _place(self, placed: Sequence[Photo], contents: Sequence[str]) -> None:
-        self._ledger.update(placed, contents)
-        self._ledger.retire([photo.path for photo in placed], contents)
+    def _remove(self, paths: Sequence[Path]) -> int:
+        with self._ledger.writing():
+            removed = sum(self._ledger.remove(path) for path in paths)
+            self._ledger.commit_rows(self._ledger.committed().rows)
+        return removed
 
 
 def _placed(photos: Sequence[Photo]) -> list[Photo]:
     paths = layout.resolved(photo.path for photo in photos)
-    return [replace(photo, path=path) for photo, path in zip(photos, paths, strict=True)]
+    pairs = zip(photos, paths, strict=True)
+    return [photo if photo.path is path else replace(photo, path=path) for photo, path in pairs]

@@ -15,7 +15,7 @@ from PIL import Image
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.config import ModelConfig, Preprocessing
+from salad.config import Calibration, ModelConfig, Preprocessing
 from salad.errors import ModelError, PhotoError
 from salad.model.aggregators import Salad, build_aggregator
 from salad.model.backbones import build_backbone
@@ -109,13 +109,18 @@ class Describer(nn.Module):
         return self.config.preprocessing
 
     @property
+    def calibration(self) -> Calibration | None:
+        """What its scores are worth; None where nobody has measured that."""
+        return self.config.calibration
+
+    @property
     def device(self) -> torch.device:
         """Where the weights are."""
         return self.mean.device
 
     @property
     def fingerprint(self) -> str:
-        """Changes with any weight and with any setting of architecture or preprocessing; names do not count.
+        """Changes with any weight and with any setting of architecture or preprocessing; nothing else counts.
 
         Computed at every call (half a second for a ViT-B), so it can never be out of date.
         """

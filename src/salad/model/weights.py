@@ -9,6 +9,8 @@ import json
 import shutil
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from salad.config import ModelConfig
+from salad.config import Calibration, ModelConfig
 from salad.errors import ModelError, WeightsError
 from salad.model import layouts, zoo
 from salad.model.describer import Describer, build
@@ -61,6 +63,11 @@ def read_folder(folder: Path) -> Describer:
     Raises:
         WeightsError: a file is missing, damaged, or does not belong to the other.
     """
+    config = _read_config(folder)
+    return _filled(config, _read_safetensors(folder / WEIGHTS), source=folder / WEIGHTS)
+
+
+def _read_config(folder: Path) -> ModelConfig:
     for name in (CONFIG, WEIGHTS):
         if not (folder / name).is_file():
             raise WeightsError(f"{folder} is not a model: it holds no {name}")
@@ -71,10 +78,32 @@ def read_folder(folder: Path) -> Describer:
             raise WeightsError(
                 f"{folder / CONFIG} has format {version}, this salad reads {FORMAT}: upgrade salad-vpr"
             )
-        config = ModelConfig.from_dict(settings)
+        return ModelConfig.from_dict(settings)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
         raise WeightsError(f"{folder / CONFIG} cannot be read: {error}") from error
-    return _filled(config, _read_safetensors(folder / WEIGHTS), source=folder / WEIGHTS)
+
+
+def write_calibration(folder: str | Path, calibration: Calibration) -> None:
+    """Put a calibration into a model's folder in place of the one it has; weights and fingerprint stay.
+
+    Raises:
+        WeightsError: it is not a model, or cannot be written; then it stays as it was.
+    """
+    folder = Path(folder)
+    config = replace(_read_config(folder), calibration=calibration)
+    draft = folder / f".{CONFIG}.part"
+    try:
+        draft.write_text(_as_text(config), encoding="utf-8")
+        shutil.copymode(folder / CONFIG, draft)
+        draft.replace(folder / CONFIG)
+    except OSError as error:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+        raise WeightsError(f"the calibration cannot be written to {folder}: {error}") from error
+
+
+def _as_text(config: ModelConfig) -> str:
+    return json.dumps({"format": FORMAT, **config.as_dict()}, indent=2) + "\n"
 
 
 def write_folder(
@@ -104,8 +133,7 @@ def write_folder(
             draft = Path(beside) / "new"
             draft.mkdir()
             save_file(weights, draft / WEIGHTS)
-            text = json.dumps({"format": FORMAT, **model.config.as_dict()}, indent=2) + "\n"
-            (draft / CONFIG).write_text(text, encoding="utf-8")
+            (draft / CONFIG).write_text(_as_text(model.config), encoding="utf-8")
             shutil.copymode(draft / CONFIG, draft / WEIGHTS)  # safetensors writes for its owner alone
             if folder.exists():
                 folder.rename(Path(beside) / "old")

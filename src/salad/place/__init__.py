@@ -1,5 +1,6 @@
 """From matches to a place."""
 
-from salad.place.voting import Answer, Place, locate, locate_many, vote
+from salad.place.locating import Answer, locate, locate_many
+from salad.place.voting import Place, vote
 
 __all__ = ["Answer", "Place", "locate", "locate_many", "vote"]

@@ -1,0 +1,250 @@
+"""Fit a model's calibration on places held out of its training, and measure it on the evaluation photos.
+
+    python benchmarks/calibration.py [--model salad-lite] [--write DIR] [--svg docs/reliability.svg]
+
+Fitted on the training photos alone. The index: street photos of one city, all of the places that were trained on
+and the older ones of the places held out. The queries: the newest photos of the places held out, once as they are
+and once with their place taken out of the index; and photos of the other sets' held-out places, which are nowhere
+near. Whatever is printed of these is out of fold, by place. Then, never fitted on: `sfxl-30`, and Gardens Point
+against its index. `--write` puts the calibration into a model's folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from aggregator import machine
+from reliability import diagram
+
+import salad
+from salad.config import Calibration
+from salad.data.places import TrainingPlace, find_places, split
+from salad.geo import GeoPoint, metres
+from salad.index import Match
+from salad.model.describer import Describer
+from salad.model.weights import write_calibration
+from salad.photos import Photo, read_photo
+from salad.place.calibrating import (
+    BINS,
+    Case,
+    Judged,
+    calibrate,
+    calibration_error,
+    judge,
+    reliability,
+)
+from salad.train.recipe import PRESETS, preset
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+SEED, K, NEWEST, STRANGERS = 0, 5, 4, 10  # newest: queries of a place; strangers: photos of a place elsewhere
+APART_M = 25.0  # a place's photos in the index are taken out with whatever stands this close to the query
+PRECISION = 0.95
+MIXTURE = {"with an answer": 0.8, "own place taken out": 0.1, "strangers": 0.1}
+"""What is asked: four in five photos can be found, the others are of streets or of cities not in the index."""
+Rows = npt.NDArray[np.float32]
+
+
+class Shown(NamedTuple):
+    """Photos with their descriptors, `[photos, dim]`."""
+
+    photos: list[Photo]
+    rows: Rows
+
+
+@dataclass(frozen=True)
+class Question:
+    """Queries beside an index; `names` are the places they show, the index's first `own` photos theirs."""
+
+    queries: Shown
+    names: list[str]
+    index: Shown
+    own: int = 0
+
+    def smaller(self) -> Question:
+        """The same queries beside their own places' photos alone."""
+        own = Shown(self.index.photos[: self.own], self.index.rows[: self.own])
+        return replace(self, index=own)
+
+    def cases(self, *, taken_out: bool = False, near: bool = True) -> list[Case]:
+        """What the index says of each query; with its own place taken out of it, or not near at all, if asked."""
+        scores = self.queries.rows @ self.index.rows.T
+        lat, lon = degrees(self.index)
+        found = []
+        for row, (query, name) in enumerate(zip(self.queries.photos, self.names, strict=True)):
+            if taken_out and query.where:
+                scores[row, metres(lat, lon, query.where.lat, query.where.lon) <= APART_M] = -np.inf
+            best = np.argsort(-scores[row], kind="stable")[:K]
+            matches = [Match(self.index.photos[n], float(scores[row, n]), int(n)) for n in best]
+            found.append(Case(name, matches, query.where if near else None))
+        return found
+
+
+def degrees(shown: Shown) -> npt.NDArray[np.float64]:
+    """Latitudes and longitudes, `[2, photos]`."""
+    return np.array([(photo.where.lat, photo.where.lon) for photo in shown.photos if photo.where]).T
+
+
+def gsv(path: Path) -> Photo:
+    """A photo with the position in its GSV-Cities name."""
+    lat, lon = path.stem.split("_")[5:7]
+    return Photo(path, GeoPoint(float(lat), float(lon)))
+
+
+def described(model: Describer, photos: Sequence[Photo], what: str) -> Shown:
+    """Photos with their descriptors."""
+    print(f"describing {len(photos)} photos: {what}", file=sys.stderr, flush=True)
+    return Shown(list(photos), model.describe([photo.path for photo in photos], batch_size=32))
+
+
+def held_out(model: Describer, data: Path, city: str) -> tuple[Question, Question]:
+    """The queries of the city's held-out places beside its index, and strangers beside the same index."""
+    name = model.name if model.name in PRESETS else "salad-lite"
+    recipe = preset(name).recipe
+    learnt, apart = split(find_places(data), held_out=recipe.held_out, seed=recipe.seed)
+    here = [place for place in apart if place.city.startswith(city)]
+    known = [path for place in here for path in place.photos[:-NEWEST]]
+    others = [path for place in learnt if place.city.startswith(city) for path in place.photos]
+    index = described(model, [gsv(path) for path in known + others], f"{city}, the index")
+    asked = [(place.name, gsv(path)) for place in here for path in place.photos[-NEWEST:]]
+    far = [(name, Photo(path)) for name, path in strangers(apart, city)]
+    queries = described(
+        model, [photo for _, photo in asked], f"{city}, queries of {len(here)} places held out"
+    )
+    strange = described(model, [photo for _, photo in far], "queries of other sets, held out too")
+    return (
+        Question(queries, [n for n, _ in asked], index, own=len(known)),
+        Question(strange, [n for n, _ in far], index, own=len(known)),
+    )
+
+
+def strangers(apart: Sequence[TrainingPlace], city: str) -> list[tuple[str, Path]]:
+    """Photos of other sets, spread over each place's own."""
+    return [
+        (f"{place.city}/{place.name}", place.photos[n])
+        for place in apart
+        if not place.city.startswith(city)
+        for n in np.unique(np.linspace(0, len(place.photos) - 1, STRANGERS).astype(int))
+    ]
+
+
+def evaluated(model: Describer, data: Path) -> tuple[Question, Question]:
+    """Queries of `sfxl-30` beside its index, and Gardens Point beside the same."""
+    test = data / "sfxl-30" / "images" / "test"
+    index, queries = (
+        described(
+            model, [read_photo(path) for path in sorted((test / side).glob("*.jpg"))], f"sfxl-30, {side}"
+        )
+        for side in ("database", "queries")
+    )
+    paths = sorted((data / "gardens-point" / "day_right").glob("*.jpg"))
+    gardens = described(model, [Photo(path) for path in paths], "Gardens Point")
+    return Question(queries, [""] * len(queries.photos), index), Question(gardens, [""] * len(paths), index)
+
+
+def say(what: str, judged: Judged, limit: float) -> None:
+    """One line: how well confidence foretells what is right, and what is answered at the limit."""
+    answered = judged.confidence >= limit
+    weight = np.where(answered, judged.weight, 0)
+    right, inside = (
+        np.average(good, weights=weight) if answered.any() else np.nan
+        for good in (judged.right, judged.error_m <= judged.radius_m)
+    )
+    print(
+        f"{what:29} {len(answered):4} queries | calibration error {calibration_error(judged):.3f} | answered "
+        f"{100 * weight.sum() / judged.weight.sum():5.1f} % | right of these {100 * right:5.1f} % | inside the "
+        f"radius {100 * inside:5.1f} %"
+    )
+
+
+def table(judged: Judged) -> None:
+    """Print the reliability, step by step; cases count by their weight."""
+    print("confidence    cases   mean   right")
+    for number, one in enumerate(reliability(judged)):
+        told = f"{one.cases:5}  {one.confidence:.3f}  {one.right:.3f}" if one else "    0"
+        print(f"{number / BINS:.1f} to {(number + 1) / BINS:.1f}    {told}")
+
+
+def fitting(here: Question, far: Question) -> dict[str, list[Case]]:
+    """The cases a calibration is fitted on, each kind with the weight that `MIXTURE` gives it.
+
+    Every query is asked of a large index and of a small one, since users have both.
+    """
+    sizes = ((here, far), (here.smaller(), far.smaller()))
+    kinds = {
+        "with an answer": [case for near, _ in sizes for case in near.cases()],
+        "own place taken out": [case for near, _ in sizes for case in near.cases(taken_out=True)],
+        "strangers": [case for _, strange in sizes for case in strange.cases(near=False)],
+    }
+    whole = sum(map(len, kinds.values()))
+    return {
+        kind: [replace(case, weight=MIXTURE[kind] * whole / len(cases)) for case in cases]
+        for kind, cases in kinds.items()
+    }
+
+
+def provenance(model: Describer, here: Question, far: Question, city: str) -> str:
+    """What the numbers were fitted on."""
+    return (
+        f"benchmarks/calibration.py, {datetime.date.today()}, model {model.fingerprint}: {len(here.names)} queries of "
+        f"{len(set(here.names))} places held out of {city}, beside {len(here.index.photos)} and {here.own} photos, "
+        f"with and without their place, and {len(far.names)} photos of elsewhere"
+    )
+
+
+def measured(model: Describer, data: Path, calibration: Calibration) -> Judged:
+    """Print what a calibration is worth on the evaluation photos; what it says of `sfxl-30`."""
+    street, gardens = evaluated(model, data)
+    limit, seen = calibration.min_confidence, judge(street.cases(), calibration)
+    say("sfxl-30", seen, limit)
+    say("sfxl-30, own place taken out", judge(street.cases(taken_out=True), calibration), limit)
+    say("Gardens Point beside sfxl-30", judge(gardens.cases(near=False), calibration), limit)
+    return seen
+
+
+def main() -> None:
+    """Fit, measure, print; write what is asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--model", default="salad-lite", help="whatever `salad.load` takes")
+    parser.add_argument("--data", type=Path, default=DATA, help="holds train/ and eval/")
+    parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
+    parser.add_argument(
+        "--write", type=Path, metavar="DIR", help="a model's folder to put the calibration into"
+    )
+    parser.add_argument("--svg", type=Path, metavar="FILE", help="draw the reliability diagram")
+    asked = parser.parse_args()
+    model = salad.load(asked.model)
+    here, far = held_out(model, asked.data / "train", asked.city)
+    print(f"{machine()}, {datetime.date.today()}, seed {SEED}, k = {K}, {model.name} {model.fingerprint}")
+    kinds = fitting(here, far)
+    cases = [case for some in kinds.values() for case in some]
+    told = provenance(model, here, far, asked.city)
+    calibration, judged = calibrate(cases, precision=PRECISION, seed=SEED, provenance=told)
+    print("\n".join(f"  {name:15} {value}" for name, value in calibration.as_dict().items()))
+    table(judged)
+    say("out of fold", judged, calibration.min_confidence)
+    first = 0
+    for kind, some in kinds.items():
+        part = Judged(*(values[first : first + len(some)] for values in judged))
+        say(f"  {kind}", part, calibration.min_confidence)
+        first += len(some)
+    if asked.write:
+        write_calibration(asked.write, calibration)
+    drawn = [("out of fold, places held out", "#2a6fbb", judged)]
+    if (asked.data / "eval").is_dir():
+        drawn.append(("sfxl-30", "#d4722a", measured(model, asked.data / "eval", calibration)))
+    if asked.svg:
+        diagram(drawn, asked.svg)
+
+
+if __name__ == "__main__":
+    main()

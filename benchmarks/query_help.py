@@ -1,0 +1,110 @@
+"""What help for a query is worth: describing it twice, or taking the index's mean off all descriptors.
+
+    python benchmarks/query_help.py [--model salad-lite]
+
+On the photos that `calibration.py` fits on, places held out of training; never on evaluation photos. Each way gets
+a calibration of its own, so that it is compared at its best; what is printed of it is out of fold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from aggregator import machine
+from calibration import APART_M, DATA, SEED, Question, Rows, Shown, fitting, held_out
+from PIL import Image, ImageOps
+
+import salad
+from salad.geo import metres
+from salad.model.describer import Describer
+from salad.photos import open_rgb
+from salad.place.calibrating import Case, calibrate, log_loss
+
+Change = Callable[[Image.Image], Image.Image]
+
+
+def mirrored(image: Image.Image) -> Image.Image:
+    """The photo as in a mirror."""
+    return ImageOps.mirror(image)
+
+
+def cropped(image: Image.Image) -> Image.Image:
+    """The photo without a tenth of it on every side."""
+    w, h = image.size
+    return image.crop((w // 10, h // 10, w - w // 10, h - h // 10))
+
+
+def unit(rows: Rows) -> Rows:
+    """The same rows at length 1."""
+    scaled: Rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return scaled
+
+
+def query_help(model: Describer, here: Question, far: Question) -> None:
+    """Print what each help does out of fold for the held-out queries, strangers and all."""
+
+    def again(shown: Shown, change: Change) -> Shown:
+        other = model.describe([change(open_rgb(photo.path)) for photo in shown.photos], batch_size=32)
+        return Shown(shown.photos, unit(shown.rows + other))
+
+    mean = here.index.rows.mean(axis=0)
+    centred = [
+        Shown(shown.photos, unit(shown.rows - mean)) for shown in (here.queries, far.queries, here.index)
+    ]
+    ways = {
+        "nothing": (here.queries, far.queries, here.index),
+        "mean with the mirrored query": (
+            again(here.queries, mirrored),
+            again(far.queries, mirrored),
+            here.index,
+        ),
+        "mean with the cropped query": (
+            again(here.queries, cropped),
+            again(far.queries, cropped),
+            here.index,
+        ),
+        "the index's mean taken off": tuple(centred),
+    }
+    print("query help                      first match right | log loss | answered at 95 % precision")
+    for name, (queries, others, index) in ways.items():
+        asked, strange = (
+            replace(here, queries=queries, index=index),
+            replace(far, queries=others, index=index),
+        )
+        cases = [case for some in fitting(asked, strange).values() for case in some]
+        fitted, judged = calibrate(cases, seed=SEED)
+        right = np.mean([metres_off(case) <= APART_M for case in asked.cases()])
+        answered = np.average(judged.confidence >= fitted.min_confidence, weights=judged.weight)
+        print(f"{name:31} {100 * right:15.1f} % | {log_loss(judged):8.4f} | {100 * answered:6.1f} %")
+
+
+def metres_off(case: Case) -> float:
+    """How far the best match is from the truth."""
+    best = case.matches[0].photo.where
+    assert best is not None
+    assert case.truth is not None
+    return float(metres(best.lat, best.lon, case.truth.lat, case.truth.lon))
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--model", default="salad-lite", help="whatever `salad.load` takes")
+    parser.add_argument("--data", type=Path, default=DATA, help="holds train/")
+    parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
+    asked = parser.parse_args()
+    model = salad.load(asked.model)
+    here, far = held_out(model, asked.data / "train", asked.city)
+    print(f"{machine()}, {datetime.date.today()}, seed {SEED}, {model.name} {model.fingerprint}")
+    query_help(model, here, far)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Giving back the room of removed photos: a new matrix beside the old one, switched to by one commit.
+
+The new file holds the living, sound rows in their order. It is seen onto the disk before SQLite commits its
+name and the new numbers of the rows; then the old file goes. Killed before the commit the index is what it
+was, killed after it what it became, and the file that nobody names is swept away by the next compaction.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from salad.errors import StoreError
+from salad.index import health, layout, ledger, matrix
+from salad.index.ledger import Committed, Ledger
+
+_OURS = re.compile(r"descriptors(-\d+)?\.f16")
+
+
+@dataclass(frozen=True, slots=True)
+class Compacted:
+    """What a compaction did.
+
+    Attributes:
+        kept: Photos the index holds now.
+        freed: Bytes given back to the disk.
+        damaged: Photos whose descriptors were damaged or lost, which are no longer in the index: index them
+            again.
+    """
+
+    kept: int
+    freed: int
+    damaged: list[Path]
+
+
+def compact(folder: Path, table: Ledger, *, dim: int) -> Compacted:
+    """Rewrite the index in `folder` without its removed and damaged rows.
+
+    Raises:
+        StoreError: If another program is writing, or the disk has no room for the new file; nothing changed.
+    """
+    before = layout.size(folder)
+    try:
+        with table.writing():
+            last = table.committed()
+            _sweep(folder, keep=last.matrix)
+            kept, damaged = _rewrite(folder, table, last, dim)
+    finally:
+        # Under the lock again: a compaction that has begun since is writing a file nobody names yet.
+        with suppress(StoreError), table.writing():
+            _sweep(folder, keep=table.committed().matrix)
+    with suppress(StoreError):  # no room, or somebody reads: the next one will do it
+        table.shrink()
+    return Compacted(kept, max(0, before - layout.size(folder)), damaged)
+
+
+def _rewrite(folder: Path, table: Ledger, last: Committed, dim: int) -> tuple[int, list[Path]]:
+    """Inside of a change: how many rows stay, and the photos whose descriptors were not worth keeping."""
+    old = matrix.Rows(folder / last.matrix, rows=last.rows, dim=dim)
+    alive = np.zeros(last.rows, dtype=np.bool_)
+    live, noted = table.live_rows(), table.sums()
+    alive[live[live < last.rows]] = True
+    full = len(live) == alive.sum() == old.held == last.rows
+    if full and (noted != ledger.UNKNOWN).all() and not health.damaged(old, alive, noted):
+        return len(live), []  # nothing to be gained
+    name = f"descriptors-{last.generation + 1}.f16"
+    rows, sums = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    with _written(folder / name) as file:
+        for start, block, good in health.checked(old, alive, noted):
+            chosen = block[good]
+            file.write(chosen.data)
+            rows.append(start + good.nonzero()[0])
+            sums.append(np.array(matrix.sums(chosen), dtype=np.int64))
+    old.close()
+    kept = np.concatenate(rows)
+    lost = np.setdiff1d(live, kept)
+    damaged = [photo.path for photo, _ in table.at_rows(lost).values()]
+    table.renumber(kept, np.concatenate(sums))
+    table.commit_rows(len(kept), matrix=name)
+    return len(kept), damaged
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[BinaryIO]:
+    """A new file, which is on the disk with its name when this ends."""
+    try:
+        with path.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        layout.settle(path.parent)
+    except OSError as error:
+        raise StoreError(
+            f"{path} cannot be written ({error.strerror}): nothing was changed; a compaction needs room for "
+            "the descriptors that stay beside the old ones"
+        ) from error
+
+
+def _sweep(folder: Path, *, keep: str) -> None:
+    """Delete matrix files nobody names: of the last compaction, or of one that was killed."""
+    for file in folder.iterdir():
+        if file.name != keep and _OURS.fullmatch(file.name):
+            with suppress(OSError):  # somebody holds it open, where that matters: the next sweep will do it
+                file.unlink()

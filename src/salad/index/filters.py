@@ -1,0 +1,187 @@
+"""Which references may be found: a box, a radius around a point, a span of time, a heading.
+
+A filter holds before the ranking: the best k are the best among the photos it lets through. What SQLite can
+tell it tells, with a little room to spare where it cannot tell exactly; numpy and Python decide the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salad.errors import StoreError
+from salad.geo import EARTH_RADIUS_M, GeoPoint, metres
+from salad.index.candidates import Mask
+from salad.index.ledger import Ledger
+
+Box = tuple[float, float, float, float]
+Part = tuple[str, tuple[Any, ...]]  # a condition of SQL with its parameters
+
+_PAGE = 1 << 16  # rows looked at in one go, which keeps memory small for any number of photos
+_ZONES = timedelta(days=3)  # more than two zones can make between a photo's date and another's
+_SPARE_DEGREES = 1e-6  # 11 cm, against rounding where SQLite's word is not the last
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """What references may be found: all parts given must hold, and a photo that lacks a fact asked for is out.
+
+    Attributes:
+        box: South, west, north, east in degrees, the edges included; west > east crosses the date line.
+        near: The middle of a circle; only together with `within_m`.
+        within_m: Its radius in metres.
+        since: Taken then or later.
+        until: Taken then or earlier. A photo's time and a bound that both have a zone are compared as moments;
+            where one of them lacks it, the clocks on the wall are compared, as if both hung in the same zone.
+        heading: Which way the camera looked, in degrees clockwise from north.
+        heading_within: How many degrees it may have looked to either side of that.
+
+    Raises:
+        StoreError: Where a value makes no sense; PositionError for `near`, which `GeoPoint` checks.
+    """
+
+    box: Box | None = None
+    near: GeoPoint | None = None
+    within_m: float | None = None
+    since: datetime | None = None
+    until: datetime | None = None
+    heading: float | None = None
+    heading_within: float = 45.0
+
+    def __post_init__(self) -> None:
+        if self.box is not None:
+            _check_box(self.box)
+        if (self.near is None) != (self.within_m is None):
+            raise StoreError("a circle needs a point and a radius: give both, or neither")
+        if self.within_m is not None and not 0 <= self.within_m < math.inf:
+            raise StoreError(f"a radius of {self.within_m} m cannot be: give metres, 0 or more")
+        if self.since and self.until and not _in_order(self.since, self.until):
+            raise StoreError(
+                f"no photo was taken since {self.since} and until {self.until}: exchange the two"
+            )
+        if self.heading is not None and not math.isfinite(self.heading):
+            raise StoreError(f"a heading of {self.heading} cannot be: give degrees clockwise from north")
+        if not 0 <= self.heading_within <= 180:
+            raise StoreError(
+                f"within {self.heading_within} degrees of a heading cannot be: give 0 to 180, to either side"
+            )
+
+
+def allowed(filter: Filter, ledger: Ledger, alive: Mask) -> Mask:
+    """Which of the living rows `[N]` a filter lets through.
+
+    It belongs in the look that `alive` was taken in, for a compaction gives rows other numbers.
+    """
+    if filter == Filter(heading_within=filter.heading_within):
+        return alive
+    passed = np.zeros(len(alive), dtype=np.bool_)
+    for some in _pages(filter, ledger, len(alive)):
+        row, lat, lon, heading, time = zip(*some, strict=True)
+        keep = np.ones(len(some), dtype=np.bool_)
+        if filter.near is not None and filter.within_m is not None:
+            keep &= metres(filter.near.lat, filter.near.lon, lat, lon) <= filter.within_m
+        if filter.heading is not None:
+            keep &= _turned(np.asarray(heading), filter.heading) <= filter.heading_within
+        if filter.since is not None or filter.until is not None:
+            keep &= [_in_span(filter, each) for each in time]
+        passed[np.asarray(row)[keep]] = True
+    return passed & alive
+
+
+def _pages(filter: Filter, ledger: Ledger, rows: int) -> Iterator[list[tuple[Any, ...]]]:
+    """Row, latitude, longitude, heading and time of photos that may pass, some at a time."""
+    parts = _conditions(filter)
+    sql = "SELECT row, lat, lon, heading, time FROM photos WHERE " + " AND ".join(
+        ["row >= ?", "row < ?", *(condition for condition, _ in parts)]
+    )
+    given = [value for _, values in parts for value in values]
+    for start in range(0, rows, _PAGE):
+        if some := ledger.select(sql, [start, min(start + _PAGE, rows), *given]):
+            yield some
+
+
+def _conditions(filter: Filter) -> list[Part]:
+    """What SQLite can tell of a filter."""
+    parts: list[Part] = []
+    if filter.box is not None:
+        parts += _in_box(filter.box)
+    if filter.near is not None and filter.within_m is not None:
+        parts += _in_box(_around(filter.near, filter.within_m))
+    if filter.heading is not None:
+        parts.append(("typeof(heading) = 'real'", ()))
+    if filter.since is not None:
+        parts.append(("time >= ?", (_day(filter.since, -_ZONES),)))
+    if filter.until is not None:
+        parts.append(("time <= ?", (_day(filter.until, _ZONES),)))
+    return parts
+
+
+def _in_box(box: Box) -> list[Part]:
+    south, west, north, east = box
+    across = "lon BETWEEN ? AND ?" if west <= east else "(lon >= ? OR lon <= ?)"
+    if west <= east and 180 in (-west, east):
+        across = "(lon BETWEEN ? AND ? OR abs(lon) = 180)"  # 180 east and 180 west are one line
+    return [
+        ("typeof(lat) = 'real' AND typeof(lon) = 'real'", ()),
+        ("lat BETWEEN ? AND ?", (south, north)),
+        (across, (west, east)),
+    ]
+
+
+def _around(near: GeoPoint, within_m: float) -> Box:
+    """A box that holds the circle, if need be all the way around the earth."""
+    arc = within_m / EARTH_RADIUS_M + math.radians(_SPARE_DEGREES)
+    up = math.degrees(arc)
+    south, north = near.lat - up, near.lat + up
+    if south <= -90 or north >= 90:  # a pole lies inside, and with it every longitude
+        return (max(south, -90.0), -180.0, min(north, 90.0), 180.0)
+    aside = math.degrees(math.asin(min(1.0, math.sin(arc) / math.cos(math.radians(near.lat)))))
+    aside += _SPARE_DEGREES
+    west, east = near.lon - aside, near.lon + aside
+    return (south, west + 360 if west < -180 else west, north, east - 360 if east > 180 else east)
+
+
+def _turned(heading: npt.NDArray[np.float64], to: float) -> npt.NDArray[np.float64]:
+    """Degrees between directions, 0 to 180, the shorter way around."""
+    apart = np.abs(heading - to) % 360
+    shorter: npt.NDArray[np.float64] = np.minimum(apart, 360 - apart)
+    return shorter
+
+
+def _day(bound: datetime, room: timedelta) -> str:
+    """The day of a bound with room to spare, as times in the table begin."""
+    try:
+        moved = bound.replace(tzinfo=None) + room
+    except OverflowError:  # beyond the years there are
+        return "0000" if room < timedelta() else "9999-99"
+    return moved.isoformat()[: len("2024-05-01")] + ("" if room < timedelta() else "~")  # behind its hours
+
+
+def _in_span(filter: Filter, time: str) -> bool:
+    try:
+        taken = datetime.fromisoformat(time)
+    except (TypeError, ValueError):  # a damaged table; `verify` tells of it
+        return False
+    after = filter.since is None or _in_order(filter.since, taken)
+    return after and (filter.until is None or _in_order(taken, filter.until))
+
+
+def _in_order(one: datetime, other: datetime) -> bool:
+    """Whether `one` is not later: as moments where both have a zone, else by the clock on the wall."""
+    if one.utcoffset() is None or other.utcoffset() is None:
+        return one.replace(tzinfo=None) <= other.replace(tzinfo=None)
+    return one <= other
+
+
+def _check_box(box: Box) -> None:
+    south, west, north, east = box
+    if not (-90 <= south <= north <= 90 and all(-180 <= lon <= 180 for lon in (west, east))):
+        raise StoreError(
+            f"the box {list(box)} cannot be: give south, west, north, east in degrees, south not above north"
+        )
