@@ -195,6 +195,13 @@ def found(index: Index, number: int) -> str:
     return index.search(descriptors([str(number)]), k=1)[0][0].photo.path.stem
 
 
+def test_a_change_comes_through_behind_an_interrupted_look(index: Index) -> None:
+    index._ledger._db.execute("BEGIN")  # as Ctrl-C leaves it right behind the command
+    assert add(index, range(3)) == 3
+    assert not index._ledger._db.in_transaction
+    assert len(index) == 3
+
+
 # --- kills -----------------------------------------------------------------------------------
 
 

@@ -49,8 +49,8 @@ class Database:
             if self._db.in_transaction:
                 yield
                 return
-            self._db.execute("BEGIN")
-            try:
+            try:  # around BEGIN too: an interrupt may come right behind it
+                self._db.execute("BEGIN")
                 yield
             finally:
                 if self._db.in_transaction:
@@ -60,8 +60,10 @@ class Database:
     def writing(self) -> Iterator[None]:
         """One change, whole or not at all; the lock is taken at once, so two writers never both begin."""
         with self._lock, self._told():
-            self._db.execute("BEGIN IMMEDIATE")
+            if self._db.in_transaction:  # a look that an interrupt cut short; nothing else comes before a change
+                self._db.execute("ROLLBACK")
             try:
+                self._db.execute("BEGIN IMMEDIATE")
                 yield
                 self._db.execute("COMMIT")
             except BaseException:
