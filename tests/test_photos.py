@@ -194,3 +194,8 @@ def test_identity_is_the_content_whatever_the_name(tmp_path: Path) -> None:
 
 def test_everything_named_is_there() -> None:
     assert all(hasattr(photos, name) for name in photos.__all__)
+
+
+def test_an_empty_name_is_not_the_current_folder() -> None:
+    with pytest.raises(PhotoError, match="empty text"):
+        find_photos([""])

@@ -73,6 +73,8 @@ def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> l
     """
     found: dict[Path, None] = {}
     for source in sources:
+        if source == "":  # an unset variable in a script, which must not mean the folder it runs in
+            raise PhotoError("one of the photos named is an empty text: check the script that names it")
         named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
         for path in named:
             inside = os.path.isdir(path)  # noqa: PTH112  # Path.is_dir fails over a name too long
