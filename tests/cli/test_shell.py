@@ -211,3 +211,11 @@ def test_progress_is_drawn_on_stderr_for_who_watches(
 def test_a_name_cannot_break_the_line_or_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     shell.say("a\nb\x1b[2J\u2028 東京 é.jpg is empty")
     assert capsys.readouterr().err == "a\\nb\\x1b[2J\\u2028 東京 é.jpg is empty\n"
+
+
+@pytest.mark.parametrize(
+    ("many", "lines", "last"), [(0, 0, ""), (20, 20, "19"), (1000, 21, "and 980 more are gone")]
+)
+def test_a_million_sentences_are_not_said_one_by_one(many: int, lines: int, last: str) -> None:
+    said = shell.some([str(number) for number in range(many)], what="are gone")
+    assert (len(said), said[-1] if said else "") == (lines, last)

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from salad.model.describer import Describes
     from salad.photos import PhotoTable
 
-_NAMED = 20  # photos named one by one when their files are gone
-
 Exported = Annotated[Path | None, arg(name="from", metavar="DIR", help_behavior_hint="")]
 
 
@@ -101,8 +99,7 @@ class Index:
             return []
         gone = index.remove_missing(folders) if self.prune else index.missing(folders)
         fate = "it was dropped" if self.prune else "--prune drops it from the index"
-        more = [f"and {len(gone) - _NAMED} more are gone"] if len(gone) > _NAMED else []
-        return [f"{path} is gone: {fate}" for path in gone[:_NAMED]] + more
+        return shell.some([f"{path} is gone: {fate}" for path in gone], what="are gone")
 
     def _take(self, folder: Path) -> int:
         """Take in what `salad export` or another tool wrote."""

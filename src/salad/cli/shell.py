@@ -6,12 +6,13 @@ import io
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 FOUND, NOTHING, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+_NAMED = 20  # things named one by one where there may be a million
 _WHOLE = 10_000  # columns: wider than any table
 
 Progress = Callable[[int, int | None], None]
@@ -42,6 +43,12 @@ def say(sentence: str) -> None:
     """
     shown = _CONTROLS.sub(lambda found: repr(found[0])[1:-1], sentence)
     print(shown, file=sys.stderr, flush=True)  # noqa: T201  # the one place for talk
+
+
+def some(sentences: Sequence[str], *, what: str) -> list[str]:
+    """The first of many sentences, and how many more `what` there are."""
+    more = len(sentences) - _NAMED
+    return [*sentences[:_NAMED], *([f"and {more} more {what}"] if more > 0 else [])]
 
 
 def put(text: str) -> None:

@@ -55,8 +55,9 @@ class Verify:
         wrong, gone, held = _examined(self.index)
         for sentence in wrong:
             shell.put(sentence)
-        for path in gone:
-            shell.say(f"{path} is gone; its descriptor stays until it is removed")
+        lost = [f"{path} is gone; its descriptor stays until it is removed" for path in gone]
+        for sentence in shell.some(lost, what="are gone"):
+            shell.say(sentence)
         if not wrong:
             shell.put(f"{self.index} is sound: {held} photos")
         return shell.NOTHING if wrong else shell.FOUND

@@ -60,7 +60,7 @@ class Database:
     def writing(self) -> Iterator[None]:
         """One change, whole or not at all; the lock is taken at once, so two writers never both begin."""
         with self._lock, self._told():
-            if self._db.in_transaction:  # a look that an interrupt cut short; nothing else comes before a change
+            if self._db.in_transaction:  # what an interrupt cut short: nothing else comes before a change
                 self._db.execute("ROLLBACK")
             try:
                 self._db.execute("BEGIN IMMEDIATE")
