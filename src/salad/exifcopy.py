@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
-import uuid
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from PIL.ExifTags import GPS, IFD
 
 from salad.errors import PhotoError
 from salad.geo import GeoPoint
+from salad.wholefile import write_whole
 
 _EXIF = b"Exif\0\0"
 _EMPTY = b"II*\0\x08\0\0\0" + bytes(6)  # a TIFF of one table without a tag
@@ -51,13 +50,9 @@ def copy_with_position(photo: Path, copy: Path, where: GeoPoint, *, within_m: fl
         raise PhotoError(f"{photo} gets no copy with a position: {error}") from error
     if os.path.lexists(copy):
         raise PhotoError(f"{copy} exists already: move it away, or write to another folder")
-    part = copy.with_name(f".{uuid.uuid4().hex}.part")
     try:
-        part.write_bytes(data)
-        part.replace(copy)
+        write_whole(copy, data)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         raise PhotoError(f"{copy} cannot be written ({error}): check the folder and the disk") from error
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import uuid
 from contextlib import nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from salad.geo import GeoPoint
 from salad.geotags import Position, from_exif, to_exif
 from salad.imagefile import MAX_PIXELS, check_scans, existing, naming, opened, quiet_pillow
 from salad.rgb import flat, upright
+from salad.wholefile import write_whole
 
 __all__ = ["MAX_PIXELS", "existing", "naming", "open_rgb", "read_exif", "save_jpeg", "squeeze"]
 
@@ -103,14 +103,10 @@ def save_jpeg(
     path = Path(path)
     rgb = flat(image if isinstance(image, Image.Image) else Image.fromarray(image))
     buffer = io.BytesIO()
-    part = path.with_name(f".{uuid.uuid4().hex}.part")
     try:
         rgb.save(buffer, "JPEG", quality=quality, exif=to_exif(Position(where, heading, time)))
-        part.write_bytes(buffer.getvalue())
-        part.replace(path)
+        write_whole(path, buffer.getvalue())
     except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         raise PhotoError(f"{path} cannot be written ({error}): check the folder and the size") from error
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from salad.cli import maps, shell
 from salad.errors import PhotoError, SaladError
+from salad.wholefile import write_whole
 
 if TYPE_CHECKING:
     from salad.place import Answer
@@ -75,11 +74,4 @@ def write_track(track: Path, answers: Sequence[Answer]) -> None:
     undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
     if undated:
         shell.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")
-    part = track.with_name(f".{uuid.uuid4().hex}.part")
-    try:
-        part.write_text(maps.as_gpx(answers, times), encoding="utf-8")
-        part.replace(track)
-    except OSError:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise
+    write_whole(track, maps.as_gpx(answers, times).encode())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
-from contextlib import suppress
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +14,7 @@ from salad.demo.result import VERDICTS, WITHIN_M, DemoResult
 from salad.demo.strips import Pictures, draw_strip
 from salad.demo.townmap import draw_map
 from salad.errors import BenchmarkError
+from salad.wholefile import write_whole
 
 if TYPE_CHECKING:
     from salad.model.describer import Describes
@@ -34,13 +33,9 @@ def write_page(result: DemoResult, model: Describes | None = None) -> Path:
         PhotoError: a photo of the town cannot be read.
     """
     text = draw_page(result, model)
-    part = result.page.with_name(f".{result.page.name}.{uuid.uuid4().hex}.part")
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(result.page)
+        write_whole(result.page, text.encode())
     except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         raise BenchmarkError(
             f"the page {result.page} cannot be written ({error}): choose another folder"
         ) from error

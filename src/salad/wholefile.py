@@ -1,0 +1,23 @@
+"""A file that is written whole or not at all."""
+
+from __future__ import annotations
+
+import uuid
+from contextlib import suppress
+from pathlib import Path
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Put `content` at `path` at one stroke: written beside it, then renamed; what stood there is replaced.
+
+    Raises:
+        OSError: it cannot be written; what stood there stays, and nothing is left beside it.
+    """
+    part = path.with_name(f".{uuid.uuid4().hex}.part")
+    try:
+        part.write_bytes(content)
+        part.replace(path)
+    except OSError:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
