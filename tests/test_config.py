@@ -6,35 +6,80 @@ import dataclasses
 import json
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import salad
 from salad.config import (
+    AGGREGATOR_KINDS,
+    AGGREGATORS,
+    BACKBONE_KINDS,
     PRESETS,
     VITS,
+    AverageConfig,
+    BoqConfig,
     Calibration,
+    ConvApConfig,
+    ConvNextConfig,
+    CosPlaceConfig,
     GemConfig,
     LiteConfig,
+    MixVprConfig,
     ModelConfig,
+    NetVladConfig,
     Preprocessing,
+    ResNetConfig,
+    RouteConfig,
     SaladConfig,
     SceneConfig,
     ViTConfig,
+    VladConfig,
+    for_grid,
 )
 from salad.errors import ModelError
 
 few = st.integers(1, 4096)
+stages = st.integers(1, 4)
+pairs = st.tuples(few, few)
 channels = st.tuples(*[st.floats(0.01, 1) | st.just(1)] * 3)
-backbones = st.builds(ViTConfig, few, few, few, few, few, st.sampled_from([0, 4]), st.booleans()) | st.builds(
-    LiteConfig, st.integers(1, 16)
+backbones = (
+    st.builds(ViTConfig, few, few, few, few, few, st.sampled_from([0, 4]), st.booleans())
+    | st.builds(LiteConfig, st.integers(1, 16))
+    | st.builds(ResNetConfig, stages)
+    | st.builds(ConvNextConfig, st.sampled_from(["tiny", "base"]), stages)
 )
+
+
+def salads(width: int) -> st.SearchStrategy[SaladConfig]:
+    return st.builds(
+        SaladConfig,
+        *[st.just(width), few, few, st.integers(0, 512), few, st.floats(0, 0.9), st.none() | few],
+        st.booleans(),
+        st.sampled_from(["sinkhorn", "softmax", "dual-softmax"]),
+        st.integers(1, 9),
+    )
+
+
+def routes(width: int) -> st.SearchStrategy[RouteConfig]:
+    return st.builds(RouteConfig, st.just(width), salads(width), few, few, st.floats(0, 9) | st.just(1))
+
+
 aggregators = (
-    st.builds(SaladConfig, few, few, few, few, few, st.floats(0, 0.9), st.none() | few)
+    few.flatmap(salads)
+    | few.flatmap(routes)
     | st.builds(SceneConfig, few)
-    | st.builds(GemConfig, few, st.floats(1, 9))
+    | st.builds(AverageConfig, few)
+    | st.builds(GemConfig, few, st.floats(1, 9), st.booleans())
+    | st.builds(NetVladConfig, few, few, st.none() | few)
+    | st.builds(VladConfig, few, few)
+    | st.builds(MixVprConfig, few, pairs, few, few, few, few)
+    | st.builds(ConvApConfig, few, few, pairs)
+    | st.builds(CosPlaceConfig, few, few, st.floats(1, 9))
+    | few.flatmap(lambda heads: st.builds(BoqConfig, few, st.just(3 * heads), few, few, few, st.just(heads)))
 )
 preparations = st.builds(
     Preprocessing, few, few, channels, channels, st.sampled_from(["bilinear", "bicubic"])
@@ -99,8 +144,8 @@ def test_reading_leaves_the_given_settings_alone() -> None:
 @pytest.mark.parametrize(
     ("part", "setting", "value", "said"),
     [
-        ("backbone", "kind", "resnet", "kind 'resnet' is unknown; known are vit, lite0"),
-        ("aggregator", "kind", None, "kind None is unknown; known are salad, scene, gem"),
+        ("backbone", "kind", "resnet", "kind 'resnet' is unknown; known are vit, lite0, resnet50, convnext"),
+        ("aggregator", "kind", None, "kind None is unknown; known are salad, scene, gem, average"),
         ("aggregator", "temperature", 3, "temperature"),
         ("preprocessing", "mean", [0.5, 0.5], "three numbers"),
         ("preprocessing", "std", [1.0, 1.0, 0.0], "std above 0"),
@@ -173,3 +218,127 @@ def test_nobody_can_change_a_configuration() -> None:
 def test_it_imports_no_torch() -> None:
     code = "import sys, salad.config, salad.train.recipe; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- what came after the first models ------------------------------------------------------
+
+SHIPPED = Path(salad.__file__).parent / "weights" / "salad-lite" / "config.json"
+
+
+def test_the_config_that_ships_is_written_as_it_was() -> None:
+    """Its fingerprint is made of it: no later setting may turn up in it."""
+    data = json.loads(SHIPPED.read_text(encoding="utf-8"))
+    version = data.pop("format")
+    assert set(data["aggregator"]) == {
+        *("width", "clusters", "cluster_dim", "scene_dim", "hidden", "dropout", "linear", "kind")
+    }
+    again = json.loads(json.dumps({"format": version, **ModelConfig.from_dict(data).as_dict()}))
+    assert again == {"format": version, **data}
+
+
+@pytest.mark.parametrize(
+    ("config", "later"),
+    [
+        (SaladConfig(9), set()),
+        (SaladConfig(9, dustbin=False), {"dustbin"}),
+        (SaladConfig(9, transport="softmax", iterations=4), {"transport", "iterations"}),
+        (GemConfig(9), set()),
+        (GemConfig(9, learned=True), {"learned"}),
+    ],
+    ids=["salad", "no-dustbin", "softmax", "gem", "learned-gem"],
+)
+def test_a_later_setting_is_written_where_it_is_not_the_default(config: Any, later: set[str]) -> None:
+    written = ModelConfig("a", LiteConfig(), config).as_dict()["aggregator"]
+    assert set(written) & {"dustbin", "transport", "iterations", "learned"} == later
+
+
+def test_every_kind_is_written_as_it_is_read() -> None:
+    for kinds in (BACKBONE_KINDS, AGGREGATOR_KINDS):
+        for kind, made in kinds.items():
+            defaults = {field.name: field.default for field in dataclasses.fields(made)}
+            assert defaults["kind"] == kind
+
+
+def test_the_names_that_are_compared() -> None:
+    assert list(AGGREGATORS) == [
+        *("salad", "salad-no-dustbin", "salad-no-scene", "salad-softmax", "salad-dual-softmax"),
+        *(
+            "netvlad",
+            "netvlad-linear",
+            "gem",
+            "average",
+            "class-token",
+            "mixvpr",
+            "conv-ap",
+            "cosplace",
+            "boq",
+        ),
+        *("vlad", "salad-route"),
+    ]
+    assert AGGREGATORS["salad"](768) == PRESETS["full"]
+    assert AGGREGATORS["salad"](112) == SaladConfig(112, 64, 32, 128, 256)  # as salad-lite's
+
+
+@pytest.mark.parametrize("width", [16, 112, 384, 768, 1024, 1536])
+@pytest.mark.parametrize("name", AGGREGATORS)
+def test_each_is_of_the_width_asked_for_and_can_be_written(name: str, width: int) -> None:
+    config = AGGREGATORS[name](width)
+    model = ModelConfig("a", LiteConfig(), config)
+    assert config.width == width
+    assert config.dim > 0
+    assert ModelConfig.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+
+
+def test_only_a_mixer_minds_the_grid() -> None:
+    for name, made in AGGREGATORS.items():
+        config = for_grid(made(112), (7, 9))
+        if name == "mixvpr":
+            assert isinstance(config, MixVprConfig)
+            assert (config.grid, config.dim) == ((7, 9), 2048)
+        else:
+            assert config == made(112)
+
+
+@pytest.mark.parametrize(
+    ("made", "settings_", "said"),
+    [
+        (SaladConfig, {"transport": "magic"}, "transport 'magic' is unknown: give one of sinkhorn, softmax"),
+        (
+            SaladConfig,
+            {"iterations": 0},
+            "iterations of the salad aggregator is 0: give a whole number, at least 1",
+        ),
+        (SaladConfig, {"iterations": 2.5}, "iterations of the salad aggregator is 2.5"),
+        (SaladConfig, {"scene_dim": -1}, "scene_dim of the salad aggregator is -1: .* at least 0"),
+        (SaladConfig, {"dustbin": "no"}, "dustbin of the salad aggregator is 'no': give true or false"),
+        (NetVladConfig, {"clusters": 0}, "clusters of the netvlad aggregator is 0"),
+        (NetVladConfig, {"linear": 0}, "linear of the netvlad aggregator is 0"),
+        (VladConfig, {"clusters": True}, "clusters of the vlad aggregator is True"),
+        (MixVprConfig, {"grid": (3,)}, r"grid of the mixvpr aggregator is \(3,\): give its rows and columns"),
+        (MixVprConfig, {"grid": (0, 3)}, "at least 1 each"),
+        (MixVprConfig, {"grid": 20}, "grid of the mixvpr aggregator is 20"),
+        (MixVprConfig, {"depth": 0}, "depth of the mixvpr aggregator is 0"),
+        (ConvApConfig, {"channels": "many"}, "channels of the conv-ap aggregator is 'many'"),
+        (ConvApConfig, {"grid": ("2", "2")}, "grid of the conv-ap aggregator"),
+        (CosPlaceConfig, {"linear": 0}, "linear of the cosplace aggregator is 0"),
+        (BoqConfig, {"heads": 5}, "5 heads do not divide 384 channels"),
+        (BoqConfig, {"queries": -3}, "queries of the boq aggregator is -3"),
+        (RouteConfig, {"salad": SaladConfig(8)}, "must be one for tokens of 9 numbers"),
+        (RouteConfig, {"salad": SaladConfig(9), "weight": -1.0}, "weight of the layout is -1.0"),
+        (RouteConfig, {"salad": SaladConfig(9), "weight": float("nan")}, "weight of the layout is nan"),
+        (RouteConfig, {"salad": SaladConfig(9), "grid": 0}, "grid of the salad-route aggregator is 0"),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_a_sentence(made: Any, settings_: dict[str, Any], said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        made(9, **settings_)
+
+
+@pytest.mark.parametrize("stages_", [0, 5, "3", None])
+def test_a_trunk_has_four_stages(stages_: Any) -> None:
+    with pytest.raises(ModelError, match=f"stages is {stages_!r}, but ResNet-50 has 1 to 4"):
+        ResNetConfig(stages=stages_)
+    with pytest.raises(ModelError, match=f"stages is {stages_!r}, but ConvNeXt has 1 to 4"):
+        ConvNextConfig(stages=stages_)
+    with pytest.raises(ModelError, match="size 'huge' of ConvNeXt is unknown: give tiny or base"):
+        ConvNextConfig(size="huge")  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,16 @@ from PIL import Image
 from torch.nn import functional as F
 
 import salad
-from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig, SceneConfig, ViTConfig
+from salad import explain
+from salad.config import (
+    LiteConfig,
+    ModelConfig,
+    Preprocessing,
+    RouteConfig,
+    SaladConfig,
+    SceneConfig,
+    ViTConfig,
+)
 from salad.errors import ModelError, PhotoError, TooFewTokensError
 from salad.model.describer import Describer, build
 
@@ -188,6 +198,42 @@ def test_share_says_where_the_tokens_went() -> None:
 def test_a_model_without_a_dustbin_says_so() -> None:
     with pytest.raises(ModelError, match="tiny has no dustbin"):
         build(dataclasses.replace(VIT, aggregator=SceneConfig(16))).share(_pixels(0))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"dustbin": False}, "it was made without one"),
+        ({"transport": "dual-softmax"}, "its dual softmax takes no share of a token"),
+    ],
+)
+def test_a_variant_whose_dustbin_has_no_share_says_so(change: dict[str, Any], said: str) -> None:
+    aggregator = dataclasses.replace(VIT.aggregator, **change)
+    for part in (aggregator, RouteConfig(16, salad=aggregator)):
+        model = build(dataclasses.replace(VIT, aggregator=part))
+        with pytest.raises(ModelError, match=f"tiny has no dustbin to show: {said}"):
+            model.share(_pixels(0))
+        assert explain.share_of(model, Image.fromarray(_pixels(0))) is None
+        assert model.describe([_pixels(0)]).shape == (1, model.dim)
+
+
+def test_a_route_shares_as_its_salad_does() -> None:
+    assert isinstance(VIT.aggregator, SaladConfig)
+    model, route = (
+        build(VIT),
+        build(dataclasses.replace(VIT, aggregator=RouteConfig(16, salad=VIT.aggregator))),
+    )
+    weights = {
+        key.replace("aggregator.", "aggregator.salad."): value for key, value in model.state_dict().items()
+    }
+    route.load_state_dict(weights, strict=False)
+    for mine, theirs in zip(route.share(_pixels(7)), model.share(_pixels(7)), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+def test_the_model_that_ships_is_known_by_the_fingerprint_it_has_always_had() -> None:
+    """Indexes in the field were made with it: change this only together with the weights."""
+    assert salad.load("salad-lite").fingerprint == "0c8f3c39d58de65c"
 
 
 def test_parts_that_do_not_fit_are_refused() -> None:

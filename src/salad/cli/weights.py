@@ -9,7 +9,8 @@ from typing import Annotated
 from tyro.conf import Positional, arg, subcommand
 
 from salad.cli import shell
-from salad.cli.arguments import Form, Number
+from salad.cli.arguments import Form, ModelName, Number, positive
+from salad.errors import WeightsError
 
 Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")]
 
@@ -93,6 +94,51 @@ class Convert:
 
 
 @dataclass(frozen=True)
+class Vocabulary:
+    """Make AnyLoc's model for a domain: VLAD over a backbone, its vocabulary from an index's photos, no training."""
+
+    index: Annotated[Path, arg(metavar="INDEX")]
+    """The index whose photos to take; many are not needed, for some are drawn."""
+    to: Path
+    """The folder to make."""
+    model: ModelName = None
+    """Whose backbone to take: a name of the zoo, a folder or a published file; by default the index's own model."""
+    clusters: int = 32
+    """Words of the vocabulary; a descriptor has as many times the width of a token."""
+    seed: int = 0
+    """Of the photos and tokens drawn, and of k-means."""
+    device: str = "cpu"
+    """Where the model runs, as torch names it."""
+
+    def run(self) -> int:
+        """Make the vocabulary."""
+        from salad.cli.opening import model_of
+        from salad.index import Index
+        from salad.model.fitting import with_vocabulary
+        from salad.model.weights import load, write_folder
+
+        positive(self.clusters, "--clusters")
+        if self.to.exists():  # said before the work, not after it
+            raise WeightsError(f"{self.to} exists already; choose another folder, or remove it first")
+        with Index.open(self.index) as index:
+            photos = [photo.path for photo in index.photos()]
+        model, unreadable = load(self.model or model_of(self.index), device=self.device), list[str]()
+        with shell.progress("gathering tokens") as bar:
+            made = with_vocabulary(
+                model,
+                photos,
+                seed=self.seed,
+                clusters=self.clusters,
+                passed_over=lambda error: unreadable.append(str(error)),
+                progress=bar,
+            )
+        for sentence in shell.some(unreadable, what="could not be read"):
+            shell.say(sentence)
+        shell.put(str(write_folder(made, self.to)))
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
 class Weights:
     """See which models there are, and get them onto this machine."""
 
@@ -101,6 +147,7 @@ class Weights:
         | Annotated[Info, subcommand("info")]
         | Annotated[Fetch, subcommand("fetch")]
         | Annotated[Convert, subcommand("convert")]
+        | Annotated[Vocabulary, subcommand("vocabulary")]
     )
 
     def run(self) -> int:

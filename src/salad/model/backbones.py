@@ -1,4 +1,4 @@
-"""Every backbone but the vision transformer: pixels -> the same Tokens.
+"""Pixels -> tokens: the one table of backbones, and the small one that ships.
 
 `Lite0` is EfficientNet-Lite0's trunk: small enough to ship, fast on any processor. Names and numbers follow the
 published ImageNet weights, so they load key by key. Source: Tan and Le, "EfficientNet" (2019), and the Lite
@@ -14,9 +14,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.config import BackboneConfig, LiteConfig
+from salad.config import BackboneConfig, ConvNextConfig, LiteConfig, ResNetConfig
 from salad.errors import ModelError
 from salad.model.tokens import Tokens
+from salad.model.trunks import ConvNext, ResNet
 from salad.model.vit import ViT
 
 
@@ -149,9 +150,18 @@ def _joined(parts: list[Tokens]) -> Tokens:
     return parts[0]._replace(patches=patches, scene=scenes)
 
 
-Backbone = ViT | Lite0
+Backbone = ViT | Lite0 | ResNet | ConvNext
 
 
 def build_backbone(config: BackboneConfig) -> Backbone:
-    """The backbone a configuration describes, with untrained weights."""
-    return Lite0(config) if isinstance(config, LiteConfig) else ViT(config)
+    """The backbone a configuration describes, with untrained weights.
+
+    Raises:
+        ModelError: a setting of it cannot be.
+        MissingExtraError: it needs a package that is not installed.
+    """
+    if isinstance(config, LiteConfig):
+        return Lite0(config)
+    if isinstance(config, ResNetConfig):
+        return ResNet(config)
+    return ConvNext(config) if isinstance(config, ConvNextConfig) else ViT(config)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from salad.config import Calibration, ModelConfig, Preprocessing
 from salad.errors import ModelError, PhotoError
-from salad.model.aggregators import Salad, build_aggregator
+from salad.model.aggregators import Aggregator, Route, Salad, build_aggregator
 from salad.model.backbones import build_backbone
 from salad.model.tokens import Tokens
 from salad.photos import open_rgb, squeeze
@@ -168,7 +168,7 @@ class Describer(nn.Module):
         rows = np.empty((len(photos), self.dim), dtype=np.float32)
         for start in range(0, len(photos), batch_size):
             batch = photos[start : start + batch_size]
-            with torch.inference_mode(), _evaluating(self):
+            with torch.inference_mode(), evaluating(self):
                 rows[start : start + len(batch)] = self(self.prepare(batch)).float().cpu().numpy()
         return rows
 
@@ -182,13 +182,12 @@ class Describer(nn.Module):
         """Where one photo's tokens went: what the dustbin took and which cluster has the most of the rest.
 
         Raises:
-            ModelError: the model has no dustbin.
+            ModelError: the model has no dustbin, or nothing says what that took of a token.
         """
-        if not isinstance(self.aggregator, Salad):
-            raise ModelError(f"the model {self.name} has no dustbin to show: its aggregator is not SALAD")
-        with torch.inference_mode(), _evaluating(self):
+        salad = _with_dustbin(self.aggregator, self.name)
+        with torch.inference_mode(), evaluating(self):
             tokens = self.tokens(self.prepare([photo]))
-            plan = self.aggregator.plan(tokens)[0].float().cpu().numpy()
+            plan = salad.plan(tokens)[0].float().cpu().numpy()
         return Share(plan[-1].reshape(tokens.grid), plan[:-1].argmax(axis=0).reshape(tokens.grid))
 
     def _squeeze(self, photo: PhotoLike) -> UInt8[np.ndarray, "height width 3"]:
@@ -206,7 +205,21 @@ class Describer(nn.Module):
         return squeeze(photo, height, width, self.preprocessing.resample)
 
 
-class _evaluating:  # noqa: N801  # reads as a verb
+def _with_dustbin(aggregator: Aggregator, name: str) -> Salad:
+    """The part of an aggregator that has a dustbin, whose share of a token can be told."""
+    salad = aggregator.salad if isinstance(aggregator, Route) else aggregator
+    if not isinstance(salad, Salad):
+        raise ModelError(f"the model {name} has no dustbin to show: its aggregator is not SALAD")
+    if not salad.config.dustbin:
+        raise ModelError(f"the model {name} has no dustbin to show: it was made without one")
+    if salad.config.transport == "dual-softmax":
+        raise ModelError(
+            f"the model {name} has no dustbin to show: its dual softmax takes no share of a token"
+        )
+    return salad
+
+
+class evaluating:  # noqa: N801  # reads as a verb
     """Evaluation mode inside, whatever mode the model was in before."""
 
     def __init__(self, model: nn.Module) -> None:

@@ -3,6 +3,7 @@
 Pure functions. Every token has mass 1, every cluster wants mass 1, and the dustbin wants what is left. The
 entropic transport problem is solved in log space by Sinkhorn's iteration (Cuturi, 2013); SALAD stops it after
 three rounds, and the three belongs to the model: its published weights were trained with an unfinished plan.
+`share` is that; `softmax` and `dual_softmax` are what the paper compares it with.
 """
 
 from __future__ import annotations
@@ -42,34 +43,75 @@ def sinkhorn(
 
 
 def share(
-    scores: Float[Tensor, "batch m n"], dustbin: Float[Tensor, ""], *, stride: int = 1
-) -> Float[Tensor, "batch m_and_dustbin n"]:
-    """Share every token among m clusters and, as the last row, the dustbin.
+    scores: Float[Tensor, "batch m n"],
+    dustbin: Float[Tensor, ""] | None,
+    *,
+    stride: int = 1,
+    iterations: int = ITERATIONS,
+) -> Float[Tensor, "batch rows n"]:
+    """Share every token among m clusters and, as the last row, the dustbin where there is one.
 
     Computed in float32 at least, whatever autocast says: bfloat16 cannot hold a sum of logs.
 
     Args:
         scores: one row a cluster, one column a token.
-        dustbin: the score every token has for the dustbin.
+        dustbin: the score every token has for the dustbin; None for none, and every cluster wants n / m.
         stride: pixels from one token to the next, for the error's advice.
+        iterations: Sinkhorn's rounds.
 
     Returns:
         The plan: every column sums to 1.
 
     Raises:
-        TooFewTokensError: there are not more tokens than clusters.
+        TooFewTokensError: there is a dustbin, and there are not more tokens than clusters.
     """
-    batch, clusters, tokens = scores.shape
-    if tokens <= clusters:
+    _, clusters, tokens = scores.shape
+    if dustbin is not None and tokens <= clusters:
         side = stride * (math.isqrt(clusters) + 1)
         raise TooFewTokensError(
             f"the photo gives {tokens} tokens, but {clusters} clusters need more than {clusters}; "
             f"use images of at least {side} x {side} pixels"
         )
     with torch.autocast(scores.device.type, enabled=False):
-        exact = scores if scores.dtype == torch.float64 else scores.float()
-        last_row = dustbin.to(exact.dtype).expand(batch, 1, tokens)
-        log_rows = exact.new_zeros(clusters + 1)
-        log_rows[-1] = math.log(tokens - clusters)
-        log_plan = sinkhorn(torch.cat([exact, last_row], dim=1), log_rows, exact.new_zeros(tokens))
-        return log_plan.exp()
+        rows = _rows(scores, dustbin)
+        if dustbin is None:
+            log_rows = rows.new_full((clusters,), math.log(tokens / clusters))
+        else:
+            log_rows = rows.new_zeros(clusters + 1)
+            log_rows[-1] = math.log(tokens - clusters)
+        return sinkhorn(rows, log_rows, rows.new_zeros(tokens), iterations=iterations).exp()
+
+
+def softmax(
+    scores: Float[Tensor, "batch m n"], dustbin: Float[Tensor, ""] | None
+) -> Float[Tensor, "batch rows n"]:
+    """Share every token by its own scores alone: a softmax over the clusters and, as the last row, the dustbin.
+
+    Returns:
+        The plan: every column sums to 1, and a row to anything.
+    """
+    with torch.autocast(scores.device.type, enabled=False):
+        return _rows(scores, dustbin).softmax(dim=1)
+
+
+def dual_softmax(
+    scores: Float[Tensor, "batch m n"], dustbin: Float[Tensor, ""] | None
+) -> Float[Tensor, "batch rows n"]:
+    """A softmax over the clusters times one over the tokens: much where both prefer each other.
+
+    Source: the matching layer of Sun et al., "LoFTR" (2021), which SALAD's ablation puts in Sinkhorn's place.
+
+    Returns:
+        What is no plan: neither a column nor a row carries a mass, each sums to less than 1.
+    """
+    with torch.autocast(scores.device.type, enabled=False):
+        rows = _rows(scores, dustbin)
+        return rows.softmax(dim=1) * rows.softmax(dim=2)
+
+
+def _rows(scores: Tensor, dustbin: Tensor | None) -> Tensor:
+    """The scores in float32 at least, the dustbin's below them."""
+    exact = scores if scores.dtype == torch.float64 else scores.float()
+    if dustbin is None:
+        return exact
+    return torch.cat([exact, dustbin.to(exact.dtype).expand(len(exact), 1, exact.shape[2])], dim=1)

@@ -1,6 +1,7 @@
 """SALAD: tokens shared among clusters by optimal transport, summed per cluster.
 
-Source: Izquierdo and Civera, "Optimal Transport Aggregation for Visual Place Recognition", CVPR 2024.
+Source: Izquierdo and Civera, "Optimal Transport Aggregation for Visual Place Recognition", CVPR 2024; the variants
+are those of its ablation: no dustbin, no scene token, a softmax or a dual softmax in Sinkhorn's place.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from torch.nn import functional as F
 
 from salad.config import SaladConfig
 from salad.model.tokens import Tokens
-from salad.model.transport import share
+from salad.model.transport import dual_softmax, share, softmax
 
 
 class Salad(nn.Module):
@@ -28,31 +29,40 @@ class Salad(nn.Module):
         d, hidden = config.width, config.hidden
         self.score = _perceptron(d, hidden, config.clusters, dropout=config.dropout)
         self.feature = _perceptron(d, hidden, config.cluster_dim, dropout=config.dropout)
-        self.scene = nn.Sequential(nn.Linear(d, hidden), nn.ReLU(), nn.Linear(hidden, config.scene_dim))
-        self.dustbin = nn.Parameter(torch.tensor(1.0))
+        self.scene = _scene(d, hidden, config.scene_dim) if config.scene_dim else None
+        self.dustbin = nn.Parameter(torch.tensor(1.0)) if config.dustbin else None
         pooled = config.scene_dim + config.clusters * config.cluster_dim
         self.linear = nn.Linear(pooled, config.linear) if config.linear else None
 
     def forward(self, tokens: Tokens) -> Float[Tensor, "batch dim"]:
         """Describe each photo of the batch by one vector of length 1."""
-        plan = self.plan(tokens)[:, :-1]  # what went to the dustbin is forgotten
+        plan = self.plan(tokens)[:, : self.config.clusters]  # what went to the dustbin is forgotten
         features = self.feature(tokens.patches)
         clusters = torch.einsum("bnl,bmn->blm", features, plan.to(features.dtype))
-        parts = F.normalize(self.scene(tokens.scene), dim=1), F.normalize(clusters, dim=1).flatten(1)
-        descriptor = torch.cat(parts, dim=1)
+        descriptor = F.normalize(clusters, dim=1).flatten(1)
+        if self.scene is not None:
+            descriptor = torch.cat([F.normalize(self.scene(tokens.scene), dim=1), descriptor], dim=1)
         if self.linear is not None:  # MegaLoc's last layer takes a vector of length 1 too
             descriptor = self.linear(F.normalize(descriptor, dim=1))
         return F.normalize(descriptor, dim=1)
 
-    def plan(self, tokens: Tokens) -> Float[Tensor, "batch m_and_dustbin n"]:
-        """How much of every token each cluster takes; the last row is the dustbin's.
+    def plan(self, tokens: Tokens) -> Float[Tensor, "batch rows n"]:
+        """How much of every token each cluster takes; the last row is the dustbin's, where there is one.
 
         Raises:
-            TooFewTokensError: the photos give no more tokens than there are clusters.
+            TooFewTokensError: the photos give no more tokens than there are clusters, and the dustbin nothing.
         """
         scores = self.score(tokens.patches).transpose(1, 2)
-        return share(scores, self.dustbin, stride=tokens.stride)
+        if self.config.transport == "softmax":
+            return softmax(scores, self.dustbin)
+        if self.config.transport == "dual-softmax":
+            return dual_softmax(scores, self.dustbin)
+        return share(scores, self.dustbin, stride=tokens.stride, iterations=self.config.iterations)
 
 
 def _perceptron(inside: int, hidden: int, out: int, *, dropout: float) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inside, hidden), nn.Dropout(dropout), nn.ReLU(), nn.Linear(hidden, out))
+
+
+def _scene(inside: int, hidden: int, out: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inside, hidden), nn.ReLU(), nn.Linear(hidden, out))

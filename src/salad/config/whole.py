@@ -1,7 +1,4 @@
-"""What a model is, as data: frozen dataclasses that JSON can hold, and the presets of the paper.
-
-Nothing here imports torch, so a command line can read, print and check a configuration at once.
-"""
+"""A whole model as data: a backbone, an aggregator, how photos are prepared for them, how sure it is."""
 
 from __future__ import annotations
 
@@ -10,99 +7,13 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
+from salad.config.backbones import BACKBONE_KINDS, BackboneConfig
+from salad.config.tables import AggregatorConfig, as_settings, from_settings
 from salad.errors import ModelError
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 Resample = Literal["bilinear", "bicubic"]
-
-
-@dataclass(frozen=True, slots=True)
-class ViTConfig:
-    """A DINOv2 vision transformer.
-
-    Args:
-        width: numbers in a token (d).
-        depth: how many blocks.
-        heads: attention heads; DINOv2's own have width / 64.
-        patch: side of a patch in pixels.
-        grid: side of the square grid the position embeddings were learnt on.
-        registers: register tokens between the class token and the patches (0 or 4).
-        swiglu: whether the blocks' perceptron is the giant model's SwiGLU.
-    """
-
-    width: int
-    depth: int
-    heads: int
-    patch: int = 14
-    grid: int = 37
-    registers: int = 0
-    swiglu: bool = False
-    kind: Literal["vit"] = "vit"
-
-
-@dataclass(frozen=True, slots=True)
-class LiteConfig:
-    """EfficientNet-Lite0's trunk, cut after `blocks` of its 16 blocks (11 of them: stride 16, 112 channels)."""
-
-    blocks: int = 11
-    kind: Literal["lite0"] = "lite0"
-
-
-@dataclass(frozen=True, slots=True)
-class SaladConfig:
-    """The SALAD aggregator; letters are those of docs/method.md.
-
-    Args:
-        width: numbers in a token it takes (d).
-        clusters: clusters that tokens are shared among (m), the dustbin not counted.
-        cluster_dim: numbers kept for a cluster (l).
-        scene_dim: numbers kept of the scene token (g).
-        hidden: hidden width of its three perceptrons.
-        dropout: share of hidden numbers dropped in the score and feature perceptrons while training.
-        linear: width of a final linear layer, as MegaLoc has one; None for none.
-    """
-
-    width: int
-    clusters: int = 64
-    cluster_dim: int = 128
-    scene_dim: int = 256
-    hidden: int = 512
-    dropout: float = 0.3
-    linear: int | None = None
-    kind: Literal["salad"] = "salad"
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.linear or self.scene_dim + self.clusters * self.cluster_dim
-
-
-@dataclass(frozen=True, slots=True)
-class SceneConfig:
-    """The scene token alone, L2-normalised: what a bare backbone says of a photo."""
-
-    width: int
-    kind: Literal["scene"] = "scene"
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.width
-
-
-@dataclass(frozen=True, slots=True)
-class GemConfig:
-    """Generalised mean of the tokens, without weights: the plain baseline."""
-
-    width: int
-    power: float = 3.0
-    kind: Literal["gem"] = "gem"
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.width
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,10 +102,6 @@ class Calibration:
         return cls(**data)
 
 
-BackboneConfig = ViTConfig | LiteConfig
-AggregatorConfig = SaladConfig | SceneConfig | GemConfig
-
-
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
     """A whole model: what it is made of, how photos are prepared for it, where it comes from, how sure it is."""
@@ -209,7 +116,7 @@ class ModelConfig:
 
     def as_dict(self) -> dict[str, Any]:
         """This configuration as JSON holds it; a model nobody has calibrated says nothing of that."""
-        settings = dataclasses.asdict(self)
+        settings = {**dataclasses.asdict(self), "aggregator": as_settings(self.aggregator)}
         if self.calibration is None:
             del settings["calibration"]
         return settings
@@ -223,8 +130,8 @@ class ModelConfig:
         """
         try:
             rest = dict(data)
-            backbone = _part(BACKBONE_KINDS, rest.pop("backbone"))
-            aggregator = _part(AGGREGATOR_KINDS, rest.pop("aggregator"))
+            backbone = _backbone(rest.pop("backbone"))
+            aggregator = from_settings(rest.pop("aggregator"))
             preprocessing = _preprocessing(rest.pop("preprocessing"))
             if rest.get("calibration") is not None:
                 rest["calibration"] = Calibration.from_dict(rest["calibration"])
@@ -236,11 +143,12 @@ class ModelConfig:
             ) from error
 
 
-def _part(kinds: dict[str, Any], settings: dict[str, Any]) -> Any:
+def _backbone(settings: dict[str, Any]) -> BackboneConfig:
     kind = settings.get("kind")
-    if kind not in kinds:
-        raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(kinds)}")
-    return kinds[kind](**settings)
+    if kind not in BACKBONE_KINDS:
+        raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(BACKBONE_KINDS)}")
+    config: BackboneConfig = BACKBONE_KINDS[kind](**settings)
+    return config
 
 
 def _preprocessing(settings: dict[str, Any]) -> Preprocessing:
@@ -254,22 +162,3 @@ def _preprocessing(settings: dict[str, Any]) -> Preprocessing:
     if found.resample not in get_args(Resample):
         raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
     return found
-
-
-BACKBONE_KINDS: dict[str, Any] = {"vit": ViTConfig, "lite0": LiteConfig}
-AGGREGATOR_KINDS: dict[str, Any] = {"salad": SaladConfig, "scene": SceneConfig, "gem": GemConfig}
-
-VITS: dict[str, ViTConfig] = {
-    "vits14": ViTConfig(width=384, depth=12, heads=6),
-    "vitb14": ViTConfig(width=768, depth=12, heads=12),
-    "vitl14": ViTConfig(width=1024, depth=24, heads=16),
-    "vitg14": ViTConfig(width=1536, depth=40, heads=24, swiglu=True),
-}
-"""DINOv2's four sizes."""
-
-PRESETS: dict[str, SaladConfig] = {
-    "full": SaladConfig(width=768),
-    "medium": SaladConfig(width=768, clusters=32, cluster_dim=64, scene_dim=64),
-    "small": SaladConfig(width=768, clusters=16, cluster_dim=32, scene_dim=32),
-}
-"""The paper's three aggregators: 8448, 2112 and 544 numbers."""
