@@ -1,13 +1,27 @@
-"""What may change between two photos of one place: viewpoint, light, season, camera and what stands in the way."""
+"""What may change between two photos of one place: viewpoint, light, season, camera and what stands in the way.
+
+Every change works on tensors, draws from torch's own chance, and gives photos in 0..1 of the size asked for.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.errors import MissingExtraError
+from salad.errors import MissingExtraError, ModelError
+from salad.train.weather import Fog, Night
+
+_SHEAR = 0.095  # kornia takes shares of half a turn: at 9 of 30 this is the 5 degrees that others have
+
+Augmentation = Literal["lite", "paper", "robust", "none"]
+CUTTING: frozenset[Augmentation] = frozenset({"lite", "robust"})
+"""Those that cut the photo they make out of the one they are given, which may be larger."""
 
 
 class LowResolution(nn.Module):
@@ -29,23 +43,62 @@ class LowResolution(nn.Module):
         return out
 
 
-def augmentation(height: int, width: int) -> nn.Module:
+class OneByOne(nn.Module):
+    """For each photo one of several changes, and what it draws for that photo alone."""
+
+    def __init__(self, *changes: nn.Module) -> None:
+        super().__init__()
+        self.changes = nn.ModuleList(changes)
+
+    def forward(self, photos: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
+        """Change each photo in its own way."""
+        out = photos.clone()
+        for number, which in enumerate(torch.randint(len(self.changes), (len(photos),)).tolist()):
+            out[number] = self.changes[which](photos[number : number + 1])[0]
+        return out
+
+
+class WithinRange(nn.Module):
+    """Values in 0..1, whatever noise and rounding made of them."""
+
+    def forward(self, photos: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
+        """Cut off what is beyond."""
+        return photos.clamp(0, 1)
+
+
+def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
     """Photos in 0..1 -> photos as another camera might have taken them, fresh at every call.
+
+    Args:
+        name: `lite`, as the model that ships was trained; `paper`, RandAugment of three operations; `robust`,
+            also night, fog, snow, rain and compression; `none`.
+        height: of the photos made, in pixels; but for those that are cutting, of the photos given too.
+        width: the same.
 
     Raises:
         MissingExtraError: kornia is not installed.
+        ModelError: there is none of that name.
     """
-    try:
-        from kornia import augmentation as k
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
-    return nn.Sequential(
-        # viewpoint: nearer, to the side, tilted
-        k.RandomResizedCrop((height, width), scale=(0.3, 1.0), ratio=(0.6, 1.66)),
-        k.RandomPerspective(0.4, p=0.4),
-        k.RandomAffine(
-            8, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4
-        ),
+    made: dict[str, Callable[[], list[nn.Module]]] = {
+        "lite": partial(_lite, height, width),
+        "paper": _paper,
+        "robust": partial(_robust, height, width),
+        "none": list,
+    }
+    if name not in made:
+        raise ModelError(f"there is no augmentation {name!r}: choose one of {', '.join(made)}")
+    changes = nn.Sequential(*made[name](), WithinRange())
+    return changes.requires_grad_(False)  # kornia's policies carry numbers that could be learnt
+
+
+def _lite(height: int, width: int) -> list[nn.Module]:
+    """Nothing here may change, nor its order: the weights that ship must come out of it again."""
+    k = _kornia()
+    return [
+        # viewpoint: a little nearer, to the side, tilted; what is much nearer is another place along the road
+        k.RandomResizedCrop((height, width), scale=(0.65, 1.0), ratio=(0.75, 1.33)),
+        k.RandomPerspective(0.3, p=0.4),
+        k.RandomAffine(8, translate=(0.1, 0.1), scale=(0.85, 1.1), shear=8, padding_mode="reflection", p=0.4),
         # light: time of day, exposure, white balance, grey cameras
         k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.4, p=0.5),
         k.RandomGamma((0.4, 2.5), p=0.3),
@@ -57,4 +110,89 @@ def augmentation(height: int, width: int) -> nn.Module:
         k.RandomGaussianNoise(std=0.04, p=0.25),
         # what stands in the way
         k.RandomErasing(scale=(0.02, 0.25), p=0.3),
+    ]
+
+
+def _paper() -> list[nn.Module]:
+    """RandAugment with three operations at the usual magnitude, 9 of 30; each photo draws its own.
+
+    Source: Cubuk et al., "RandAugment: Practical automated data augmentation with a reduced search space", 2020.
+    """
+    _kornia()
+    from kornia.augmentation.auto import RandAugment
+
+    # kornia goes `m` / 30 of the way from the first bound to the second, and knows one direction at a time
+    return [OneByOne(*(RandAugment(n=3, m=9, policy=_policy(*light)) for light in ((1.0, 1.9), (0.61, 1.0))))]
+
+
+def _policy(least: float, most: float) -> list[list[tuple[str, float, float | None]]]:
+    """The operations that torchvision's RandAugment has, in its ranges; lights and colours within those given."""
+    lights = [(name, least, most) for name in ("brightness", "color", "contrast", "sharpness")]
+    moves = [
+        ("rotate", 30.0),
+        ("shear_x", _SHEAR),
+        ("shear_y", _SHEAR),
+        ("translate_x", 0.45),
+        ("translate_y", 0.45),
+    ]
+    others = [
+        ("auto_contrast", 0.0, 1.0),
+        ("equalize", 0.0, 1.0),
+        ("posterize", 4.0, 8.0),
+        ("solarize", 0.57, 1.0),
+    ]
+    return [[operation] for operation in (*lights, *((name, -far, far) for name, far in moves), *others)]
+
+
+def _robust(height: int, width: int) -> list[nn.Module]:
+    k = _kornia()
+    return [
+        # viewpoint
+        k.RandomResizedCrop((height, width), scale=(0.3, 1.0), ratio=(0.6, 1.66)),
+        k.RandomPerspective(0.5, p=0.4),
+        k.RandomAffine(
+            10, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4
+        ),
+        # weather and hour
+        Fog(p=0.12),
+        k.RandomSnow(snow_coefficient=(0.1, 0.5), brightness=(1.2, 2.5), p=0.08),
+        *_rain(height, width),
+        Night(p=0.2),
+        # light
+        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.5, hue=0.03, p=0.5),
+        k.RandomGamma((0.4, 2.5), p=0.25),
+        k.RandomPlanckianJitter(p=0.2),
+        k.RandomGrayscale(p=0.15),
+        # camera
+        LowResolution(),
+        k.RandomGaussianBlur((7, 7), (0.3, 2.5), p=0.15),
+        k.RandomMotionBlur((3, 9), 90.0, (-1.0, 1.0), p=0.1),
+        k.RandomGaussianNoise(std=0.05, p=0.25),
+        WithinRange(),
+        k.RandomJPEG(jpeg_quality=(8.0, 60.0), p=0.3),
+        # what stands in the way
+        k.RandomErasing(scale=(0.02, 0.3), p=0.35),
+    ]
+
+
+def _rain(height: int, width: int) -> list[nn.Module]:
+    """Streaks in keeping with the photo's size; none on a photo too small for them."""
+    longest, aside = height // 12, width // 40
+    if longest < 2:
+        return []
+    drops = max(1, height * width // 300)
+    made: nn.Module = _kornia().RandomRain(
+        number_of_drops=(drops // 3, drops),
+        drop_height=(longest // 2, longest),
+        drop_width=(-aside, aside),
+        p=0.08,
     )
+    return [made]
+
+
+def _kornia() -> Any:
+    try:
+        from kornia import augmentation
+    except ImportError as error:
+        raise MissingExtraError("training", "train") from error
+    return augmentation

@@ -1,0 +1,226 @@
+"""Samplers: which photos of which places make up the n-th batch.
+
+A sampler knows no past: its n-th batch depends on its seed and n alone, so a run that was interrupted goes on
+with what it would have seen. No two places of a batch should be so near that photos of one show the other, for
+they would count as different; the samplers by epoch see to that where positions are known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from salad.data.nearness import Neighbours
+from salad.data.packing import Packing
+from salad.data.views import TrainingPlace, View, by_city
+from salad.errors import BenchmarkError
+
+APART_M = 100.0
+"""How far apart, in metres, two places of a batch are at least: GSV-Cities' own distance."""
+
+
+class Sampler(Protocol):
+    """Batches by their numbers."""
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on; the same whenever it is asked for."""
+        ...
+
+
+class MixedSampler:
+    """Places of all cities in one batch; a city takes part by the square root of its size.
+
+    It keeps no distance between places: use it for sets whose places lie far enough apart by themselves.
+
+    Args:
+        places: what to draw from.
+        per_batch: places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        mirror: whether half of the places are mirrored.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs.
+    """
+
+    def __init__(
+        self, places: Sequence[TrainingPlace], *, per_batch: int, views: int, seed: int, mirror: bool = True
+    ) -> None:
+        _check_enough(places, per_batch)
+        cities = list(by_city(places).values())
+        shares = np.sqrt([len(city) for city in cities])
+        self._chances = np.concatenate(
+            [np.full(len(c), s / len(c)) for c, s in zip(cities, shares / shares.sum(), strict=True)]
+        )
+        self._places = [places[number] for city in cities for number in city]
+        self._per_batch, self._views, self._seed, self._mirror = per_batch, views, seed, mirror
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on."""
+        chance = np.random.default_rng((self._seed, number))
+        drawn = chance.choice(len(self._places), size=self._per_batch, replace=False, p=self._chances)
+        return _views(
+            [self._places[index] for index in drawn], chance, views=self._views, mirror=self._mirror
+        )
+
+
+class _EpochSampler:
+    """Every place once an epoch, in batches that are shuffled anew for each.
+
+    Batches hold `per_batch` places or fewer, as even as they come: a city's places seldom divide by it. A place
+    that would be alone in its batch teaches nothing and is left out of that epoch.
+
+    Attributes:
+        per_epoch: batches in an epoch.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[TrainingPlace],
+        packings: Sequence[Packing],
+        *,
+        views: int,
+        seed: int,
+        mirror: bool,
+        apart_m: float,
+    ) -> None:
+        self._places, self._packings = places, packings
+        self._views, self._seed, self._mirror = views, seed, mirror
+        self._epoch, self._batches = -1, list[list[int]]()
+        self.per_epoch = len(self._plan(0))
+        if not self.per_epoch:
+            raise BenchmarkError(
+                f"no two of the {len(places)} places may stand in one batch, since places of one city lie within "
+                f"{apart_m:g} m of each other: take photos of more places, or train with a smaller distance"
+            )
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on; an epoch ends every `per_epoch` batches."""
+        epoch, within = divmod(number, self.per_epoch)
+        shown = [self._places[place] for place in self._plan(epoch)[within]]
+        chance = np.random.default_rng((self._seed, number))
+        return _views(shown, chance, views=self._views, mirror=self._mirror)
+
+    def _plan(self, epoch: int) -> list[list[int]]:
+        if epoch != self._epoch:
+            # the 1 behind keeps these draws apart from those of a batch: a 0 there would not
+            chance = np.random.default_rng((self._seed, epoch, 1))
+            packed = [batch for packing in self._packings for batch in packing.shuffled(chance)]
+            several = [batch for batch in packed if len(batch) > 1]
+            self._batches = [several[place] for place in chance.permutation(len(several))]
+            self._epoch = epoch
+        return self._batches
+
+
+class OneCitySampler(_EpochSampler):
+    """Each batch within one city, every place once an epoch, as the paper trains.
+
+    Places of one city look more alike than those of two, so that there is more to learn from each batch.
+
+    Args:
+        places: what to draw from.
+        per_batch: most places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        mirror: whether half of the places are mirrored.
+        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs, or none that may stand beside another.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[TrainingPlace],
+        *,
+        per_batch: int,
+        views: int,
+        seed: int,
+        mirror: bool = False,
+        apart_m: float = APART_M,
+    ) -> None:
+        _check_enough(places, per_batch)
+        near = Neighbours([place.where for place in places], apart_m)
+        cities = by_city(places).values()
+        packings = [Packing([[place] for place in city], near, room=per_batch) for city in cities]
+        super().__init__(places, packings, views=views, seed=seed, mirror=mirror, apart_m=apart_m)
+
+
+class CliqueSampler(_EpochSampler):
+    """Batches filled with cliques of places that look alike; places of no clique fill what is left.
+
+    Every place comes once an epoch, and a clique's places stand together in all of them.
+
+    Args:
+        places: what to draw from.
+        per_batch: most places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        cliques: numbers of places, as `salad.train.mining.mine` gives them; one longer than a batch is cut.
+        mirror: whether half of the places are mirrored.
+        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs or none that may stand beside another; or a
+            place is in two cliques, in none of the places, or beside a near one.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[TrainingPlace],
+        *,
+        per_batch: int,
+        views: int,
+        seed: int,
+        cliques: Sequence[Sequence[int]],
+        mirror: bool = False,
+        apart_m: float = APART_M,
+    ) -> None:
+        _check_enough(places, per_batch)
+        taken = [place for clique in cliques for place in clique]
+        if len(set(taken)) < len(taken) or not set(taken) <= set(range(len(places))):
+            raise BenchmarkError(
+                f"a clique names a place twice, or one that is not among the {len(places)} places: mine the cliques "
+                "anew from the places they are to be used with"
+            )
+        cut = [clique[at : at + per_batch] for clique in cliques for at in range(0, len(clique), per_batch)]
+        alone = sorted(set(range(len(places))) - set(taken))
+        near = Neighbours([place.where for place in places], apart_m)
+        packing = Packing([*cut, *([place] for place in alone)], near, room=per_batch)
+        super().__init__(places, [packing], views=views, seed=seed, mirror=mirror, apart_m=apart_m)
+
+
+def batches(
+    places: Sequence[TrainingPlace], *, per_batch: int, views: int, seed: int, start: int = 0
+) -> Iterator[list[View]]:
+    """The batches of a `MixedSampler` without end, from number `start` on."""
+    sampler = MixedSampler(places, per_batch=per_batch, views=views, seed=seed)
+    number = start
+    while True:
+        yield sampler.batch(number)
+        number += 1
+
+
+def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:
+    if len(places) < per_batch:
+        raise BenchmarkError(f"a batch needs {per_batch} places, but there are {len(places)}")
+
+
+def _views(
+    places: Sequence[TrainingPlace], chance: np.random.Generator, *, views: int, mirror: bool
+) -> list[View]:
+    return [
+        View(place.photos[photo], label, mirrored, place)
+        for label, place in enumerate(places)
+        for mirrored in [mirror and bool(chance.random() < 0.5)]
+        for photo in _some(chance, len(place.photos), views)
+    ]
+
+
+def _some(chance: np.random.Generator, photos: int, views: int) -> list[int]:
+    rounds = math.ceil(views / photos)  # a place with too few photos shows some of them twice
+    drawn: list[int] = np.concatenate([chance.permutation(photos) for _ in range(rounds)])[:views].tolist()
+    return drawn
