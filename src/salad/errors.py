@@ -10,6 +10,7 @@
     ├── StoreError            an index on disk cannot be used
     │   └── WrongModelError   an index was made with another model
     ├── BenchmarkError        a data set or its ground truth cannot be read
+    ├── TrainingError         a training run cannot begin, go on, or end well
     └── MissingExtraError     an optional dependency is not installed
 
 Every message says what is wrong, with which file or value, and what to do. The command line prints it as it
@@ -55,6 +56,10 @@ class WrongModelError(StoreError):
 
 class BenchmarkError(SaladError):
     """A data set or its ground truth cannot be read, or does not fit together."""
+
+
+class TrainingError(SaladError):
+    """A training run cannot begin, go on, or end well; what it saved before stays."""
 
 
 class MissingExtraError(SaladError):

@@ -1,7 +1,8 @@
-"""Choosing by held-out places: precision by hand, photos read once."""
+"""Choosing by held-out places: precision by hand."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,10 @@ from PIL import Image
 
 from salad.config import Preprocessing
 from salad.data.places import TrainingPlace
-from salad.errors import PhotoError
+from salad.errors import BenchmarkError
 from salad.train import choose
-from salad.train.choose import Shelf, average_precision, precision_held_out
+from salad.train.choose import average_precision, by_places_held_out, precision_held_out
+from salad.train.shelf import Shelf
 
 
 class ByRedness:
@@ -50,7 +52,7 @@ def test_precision_by_hand(tmp_path: Path, model: Any, monkeypatch: pytest.Monke
         _place(tmp_path, "x", "a", [10, 50, 12]),  # 12 is asked: 10, then the stranger 15, then 50
         _place(tmp_path, "y", "b", [15, 200, 202]),  # 202 is asked: 200, then 50, then 15
     ]
-    precision = precision_held_out(model, places, Shelf(model))
+    precision = precision_held_out(model, places, Shelf(model.preprocessing))
     assert precision == {"x": 83.33, "y": 83.33, "mean": 83.33}  # (1/1 + 2/3) / 2 for both
 
 
@@ -61,7 +63,7 @@ def test_the_newest_photos_are_asked(tmp_path: Path, model: Any, monkeypatch: py
         _place(tmp_path, "y", "b", [101, 240, 241]),
     ]
     # 10 finds 11, 100: all right. 240 finds 241, then (nearer than 101? no) 101 before 100: all right
-    assert precision_held_out(model, places, Shelf(model))["mean"] == 100.0
+    assert precision_held_out(model, places, Shelf(model.preprocessing))["mean"] == 100.0
 
 
 def test_places_of_one_name_in_two_cities_are_two(tmp_path: Path, model: Any) -> None:
@@ -69,7 +71,7 @@ def test_places_of_one_name_in_two_cities_are_two(tmp_path: Path, model: Any) ->
         _place(tmp_path, "x", "a", [10, 100]),
         _place(tmp_path, "y", "a", [101, 11]),
     ]
-    precision = precision_held_out(model, places, Shelf(model))
+    precision = precision_held_out(model, places, Shelf(model.preprocessing))
     assert precision["mean"] < 100.0
 
 
@@ -80,17 +82,14 @@ def test_average_precision_is_the_mean_of_precisions_at_each_hit(right: list[boo
     assert average_precision(np.array(right)) == pytest.approx(wanted)
 
 
-def test_a_photo_is_read_once(tmp_path: Path, model: Any) -> None:
-    place = _place(tmp_path, "x", "a", [10, 20, 30, 40])
-    shelf = Shelf(model)
-    first = shelf.photos(place.photos)
-    assert first.shape == (4, 3, 4, 6)
-    assert first[:, 0, 0, 0].tolist() == [10, 20, 30, 40]
-    for path in place.photos:
-        path.unlink()
-    assert shelf.photos(place.photos).equal(first)
-
-
-def test_a_photo_that_cannot_be_read_is_named(tmp_path: Path, model: Any) -> None:
-    with pytest.raises(PhotoError, match=r"gone\.jpg"):
-        Shelf(model).photos([tmp_path / "gone.jpg"])
+def test_a_photo_that_cannot_be_read_is_left_out(tmp_path: Path, model: Any) -> None:
+    places = [_place(tmp_path, "x", "a", [10, 12]), _place(tmp_path, "y", "b", [200, 202])]
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no photo")
+    worse = [dataclasses.replace(places[0], photos=(broken, *places[0].photos)), places[1]]
+    shelf = Shelf(model.preprocessing)
+    judge = by_places_held_out(worse, shelf)
+    assert judge(model) == {"x": 100.0, "y": 100.0, "mean": 100.0}
+    assert list(shelf.broken) == [broken]
+    with pytest.raises(BenchmarkError, match="none of the photos of 1 places held out can be read"):
+        precision_held_out(model, [dataclasses.replace(places[0], photos=(broken,))], shelf)

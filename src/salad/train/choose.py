@@ -3,38 +3,22 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
-import torch
 from jaxtyping import Bool, UInt8
-from torch import Tensor
 
 from salad.data.places import TrainingPlace
+from salad.errors import BenchmarkError, PhotoError
 from salad.model.describer import Describer
-from salad.photos import open_rgb, squeeze
+from salad.train.shelf import Shelf
 
 QUERIES = 8  # of each place: its newest photos
 
 
-class Shelf:
-    """Photos squeezed to a model's size and kept, since every one is read many times in a run."""
-
-    def __init__(self, model: Describer) -> None:
-        self.preprocessing = model.preprocessing
-        self._kept: dict[Path, UInt8[np.ndarray, "height width 3"]] = {}
-
-    def array(self, path: Path) -> UInt8[np.ndarray, "height width 3"]:
-        """One photo as bytes."""
-        if path not in self._kept:
-            size = self.preprocessing
-            self._kept[path] = squeeze(open_rgb(path), size.height, size.width, size.resample)
-        return self._kept[path]
-
-    def photos(self, paths: Sequence[Path]) -> UInt8[Tensor, "photos 3 height width"]:
-        """Several photos as one tensor."""
-        return torch.from_numpy(np.stack([self.array(path) for path in paths])).permute(0, 3, 1, 2)
+Judge = Callable[[Describer], dict[str, float]]
+"""A model -> figures, higher ones better; `mean` is the score it is chosen by."""
 
 
 def precision_held_out(model: Describer, places: Sequence[TrainingPlace], shelf: Shelf) -> dict[str, float]:
@@ -43,12 +27,22 @@ def precision_held_out(model: Describer, places: Sequence[TrainingPlace], shelf:
     Every photo of the places held out is searched but the query itself. R@1 is too coarse to choose by: one photo of
     the same day is enough for it, while this asks for those of every season, hour and viewpoint.
 
+    Photos that cannot be read are left out.
+
     Returns:
         One figure a city, and their mean.
+
+    Raises:
+        BenchmarkError: not one photo can be read.
     """
-    photos = [path for place in places for path in place.photos]
-    shows = np.repeat(np.arange(len(places)), [len(place.photos) for place in places])
-    described = model.describe([shelf.array(path) for path in photos], batch_size=32)
+    seen = [(number, photo) for number, place in enumerate(places) for photo in _readable(place, shelf)]
+    if not seen:
+        raise BenchmarkError(
+            f"none of the photos of {len(places)} places held out can be read, so there is nothing to choose by: "
+            "check the data, or hold out none"
+        )
+    shows = np.array([number for number, _ in seen])
+    described = model.describe([photo for _, photo in seen], batch_size=32)
     scores = described @ described.T
     found: dict[str, list[float]] = defaultdict(list)
     for number, place in enumerate(places):
@@ -58,6 +52,17 @@ def precision_held_out(model: Describer, places: Sequence[TrainingPlace], shelf:
             found[place.city].append(average_precision(shows[order] == number))
     precision = {city: round(100 * float(np.mean(each)), 2) for city, each in sorted(found.items())}
     return {**precision, "mean": round(float(np.mean(list(precision.values()))), 2)}
+
+
+def by_places_held_out(places: Sequence[TrainingPlace], shelf: Shelf) -> Judge:
+    """The judge that is used where none is given."""
+    return lambda model: precision_held_out(model, places, shelf)
+
+
+def _readable(place: TrainingPlace, shelf: Shelf) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    for photo in place.photos:
+        with suppress(PhotoError):
+            yield shelf.array(photo)
 
 
 def average_precision(right: Bool[np.ndarray, " ranked"]) -> float:

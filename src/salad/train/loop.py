@@ -1,36 +1,43 @@
 """The training loop: read it aloud.
 
-A run lives in a folder: `log.jsonl` (one line a measurement), `last.ckpt` (to go on from after an interrupt) and,
-in the end, `model/` in our own format. The n-th step depends on the seed and n alone, so a run that was
-interrupted ends as it would have.
+A run lives in a folder (`runfolder`). The n-th step depends on the seed and n alone, so a run that was interrupted, or
+killed, ends as it would have. On several devices every process walks the same steps, each with its share of the batch;
+the first one alone speaks, measures and writes.
 """
 
 from __future__ import annotations
 
-import copy
-import json
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+import math
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
 
-from salad.data.places import TrainingPlace, View, batches, split
-from salad.errors import MissingExtraError, ModelError
-from salad.model.describer import Describer, build
-from salad.model.weights import write_folder
-from salad.train.augment import augmentation
-from salad.train.choose import Shelf, precision_held_out
+from salad.data.places import TrainingPlace, View, split
+from salad.model.describer import build
+from salad.model.fitting import fit, needs_fitting
+from salad.train import runfolder
+from salad.train.caching import Part, learn
+from salad.train.choose import Judge, by_places_held_out
+from salad.train.feeding import Feed, divided, sampler_of, steps_of
+from salad.train.launching import launched, step_seed
+from salad.train.mining import mine
 from salad.train.objective import multi_similarity
-from salad.train.recipe import Precision, Preset, Recipe
+from salad.train.optimising import drift, optimizer_of, rate_factor, set_rates
+from salad.train.recipe import Preset, Recipe
+from salad.train.record import Record, Say
+from salad.train.runfolder import CHECKPOINT, LOG, MODEL
 from salad.train.start import start_backbone
+from salad.train.state import State
+from salad.train.tokens_cache import TokensCache
 
-Say = Callable[[str], None]
-CHECKPOINT, LOG, MODEL = "last.ckpt", "log.jsonl", "model"
+__all__ = ["CHECKPOINT", "LOG", "MODEL", "Judge", "Progress", "Say", "train"]
+
+Progress = Callable[[int, int | None], None]
+TOKENS = "tokens"
 
 
 def train(
@@ -40,9 +47,16 @@ def train(
     to: Path,
     start: str | None = None,
     accelerator: str = "auto",
+    devices: int = 1,
+    nodes: int = 1,
+    judge: Judge | None = None,
+    resume: bool = False,
+    board: bool = False,
+    tokens: Path | None = None,
+    progress: Progress | None = None,
     say: Say = print,
 ) -> Path:
-    """Train a model and write it to `to/model`.
+    """Train a model; the best weights go to `to/model`, the last ones to `to/last`.
 
     Args:
         preset: the model, where its backbone starts, and the recipe.
@@ -50,183 +64,186 @@ def train(
         to: the run's folder; a run found there goes on.
         start: other weights for the backbone than the preset's.
         accelerator: Fabric's word for where to run: `auto`, `cpu`, `gpu`, `mps`.
+        devices: devices of each machine; each takes a share of every batch.
+        nodes: machines; start the same command on each.
+        judge: what measures the model, in place of its precision on the places held out.
+        resume: insist on a run in `to` that has not ended.
+        board: draw curves for TensorBoard.
+        tokens: where tokens are cached, if the recipe says so; several runs may share it. By default in `to`.
+        progress: told how many steps are made, and of how many.
         say: takes a line whenever there is something to tell.
+
+    Returns:
+        The folder of the best model.
 
     Raises:
         MissingExtraError: the `train` extra is not installed.
-        BenchmarkError: there are too few places.
-        ModelError: `to` holds a run of another recipe.
+        BenchmarkError: there are too few places, or none of a place's photos can be read.
+        ModelError: `to` holds another run, or the model, the recipe and the devices do not fit together.
+        WeightsError: the backbone cannot start from `start`.
+        TrainingError: the loss is no number any more; a checkpoint cannot be read or written; or there is
+            nothing to resume. What was saved before stays.
     """
-    recipe = preset.recipe
-    learn, choose = split(places, held_out=recipe.held_out, seed=recipe.seed)
-    say(f"{len(learn)} places to learn from, {len(choose)} held out to choose by")
+    recipe, start = preset.recipe, preset.start if start is None else start
+    divided(recipe, devices * nodes)
+    learnt, choose = split(places, held_out=recipe.held_out, seed=recipe.seed)
     model = build(preset.model, seed=recipe.seed)
-    start_backbone(model, preset.start if start is None else start)
-    to.mkdir(parents=True, exist_ok=True)
-    run = _Run(model, recipe, learn, choose, folder=to, accelerator=accelerator, say=say)
-    run.steps()
-    model.load_state_dict(run.best["weights"])
-    return write_folder(model.cpu().eval(), to / MODEL, dtype=torch.float16, overwrite=True)
+    start_backbone(model, start)
+    sampler = sampler_of(recipe, learnt)
+    head, end = steps_of(recipe, sampler)
+    judged_by = "benchmark" if judge else "held_out"
+    identity = runfolder.identity(recipe, preset.model, places, start=start, judge=judged_by)
+    saved = runfolder.take_up(to, identity, steps=end, resume=resume)
+    fabric = launched(accelerator, recipe.precision, devices=devices, nodes=nodes)
+    first = fabric.is_global_zero
+    with closing(Feed(model, recipe, learnt, sampler=sampler, fabric=fabric)) as feed:
+        if judge is None and choose:
+            judge = by_places_held_out(choose, feed.in_use)
+        record = Record(
+            to,
+            identity,
+            judge=judge,
+            tell=say if first else _silence,
+            first=first,
+            processes=fabric.world_size,
+        )
+        record.tell(f"{len(learnt)} places to learn from, {len(choose)} held out to choose by")
+        if saved is None and needs_fitting(model):
+            record.tell("fitting the aggregator to the photos before its first step")
+            photos = [photo for place in learnt for photo in place.photos]
+            fit(model, photos, seed=recipe.seed, passed_over=lambda error: record.tell(f"left out: {error}"))
+        run = _Run(State(model), feed, record, tokens=tokens or to / TOKENS)
+        run.begin(saved, resolved=runfolder.resolved(preset, places, start=start, steps=end), board=board)
+        run.walk(head, end, progress=progress or _no_progress)
+        return record.end(run.state)
+
+
+class _Stage(NamedTuple):
+    """A stretch of steps over which the same weights are trained by one optimizer."""
+
+    name: str
+    first: int
+    end: int
+    module: nn.Module
+    optimizer: torch.optim.Optimizer
+    cached: bool
+    parts: Callable[[int, Sequence[View]], Sequence[Part]]
 
 
 class _Run:
     """One run: its two stages are one walk over numbered steps."""
 
-    def __init__(
-        self,
-        model: Describer,
-        recipe: Recipe,
-        learn: Sequence[TrainingPlace],
-        choose: Sequence[TrainingPlace],
-        *,
-        folder: Path,
-        accelerator: str,
-        say: Say,
-    ) -> None:
-        self.model, self.recipe, self.learn, self.choose = model, recipe, learn, choose
-        self.folder, self.say = folder, say
-        self.fabric = _fabric(accelerator, recipe.precision)
-        size = model.preprocessing.height, model.preprocessing.width
-        self.augment, self.objective, self.shelf = augmentation(*size), multi_similarity(), Shelf(model)
-        self.average = copy.deepcopy(model)
-        self.best: dict[str, Any] = {"score": -1.0, "weights": self.average.state_dict()}
-        self.step, self.began = 0, time.monotonic()
+    def __init__(self, state: State, feed: Feed, record: Record, *, tokens: Path) -> None:
+        self.state, self.feed, self.record, self.tokens = state, feed, record, tokens
+        self.recipe: Recipe = feed.recipe
+        self.fabric, self.objective = feed.fabric, multi_similarity()
 
-    def steps(self) -> None:
-        """Both stages, from wherever the run stands."""
-        saved = self._saved()
+    def begin(self, saved: dict[str, Any] | None, *, resolved: dict[str, Any], board: bool) -> None:
+        """Stand at the first step, or where the run stood when it was saved."""
         if saved:
-            self._take_up(saved)
-        head, end = self.recipe.head_steps, self.recipe.head_steps + self.recipe.tune_steps
-        for stage, first, last in (("head", 0, head), ("tune", head, end)):
-            if self.step < last:
-                within = (
-                    saved is not None and first < self.step
-                )  # at a stage's start its optimizer is a new one
-                self._stage(stage, first, last, saved["optimizer"] if saved and within else None)
+            self.state.take_up(saved)
+            if self.state.cliques:
+                self.feed.use_cliques(self.state.cliques)
+            if self.state.scaler:
+                self.fabric.strategy.precision.load_state_dict(self.state.scaler)
+        self.state.to(self.fabric.device)
+        self.record.begin(self.state, saved, resolved=resolved, board=board)
 
-    def _take_up(self, saved: dict[str, Any]) -> None:
-        self.model.load_state_dict(saved["model"])
-        self.average.load_state_dict(saved["average"])
-        self.best, self.step = saved["best"], saved["step"]
-        self.say(f"going on from step {self.step}")
+    def walk(self, head: int, end: int, *, progress: Progress) -> None:
+        """Both stages, from wherever the run stands."""
+        for name, first, last, blocks in (
+            ("head", 0, head, 0),
+            ("tune", head, end, self.recipe.tuned_blocks),
+        ):
+            if self.state.step < last:
+                stage = self._stage(name, first, last, blocks)
+                while self.state.step < last:
+                    self._step(stage)
+                    if self.record.first:
+                        progress(self.state.step, end)
 
-    def _stage(self, stage: str, first: int, end: int, momenta: dict[str, Any] | None) -> None:
-        self.model.backbone.train_last(0 if stage == "head" else self.recipe.tuned_blocks)
-        module, optimizer = self.fabric.setup(self.model, _optimizer(self.model, self.recipe))
-        self.average.to(self.fabric.device)
-        if momenta:
-            optimizer.load_state_dict(momenta)
-        feed = batches(
-            self.learn,
-            per_batch=self.recipe.places,
-            views=self.recipe.views,
-            seed=self.recipe.seed,
-            start=self.step,
+    def _stage(self, name: str, first: int, end: int, blocks: int) -> _Stage:
+        model = self.state.model
+        model.backbone.train_last(blocks)
+        cached = blocks == 0 and self.recipe.cache_versions > 0
+        feed = TokensCache(model, self.feed, folder=self.tokens) if cached else self.feed
+        module, optimizer = self.fabric.setup(
+            model.aggregator if cached else model, optimizer_of(model, self.recipe)
         )
-        while self.step < end:
-            factor = rate_factor(self.step - first, end - first, self.recipe)
-            for group in optimizer.param_groups:
-                group["lr"] = group["rate"] * factor
-            loss = self._learn(module, optimizer, next(feed))
-            self.step += 1
-            if self.step % self.recipe.measure_every == 0 or self.step == end:
-                self._tell(stage, loss, optimizer)
+        if first < self.state.step and self.state.momenta:  # at a stage's start its optimizer is a new one
+            optimizer.load_state_dict(self.state.momenta)
+        self.state.momenta = None
+        return _Stage(name, first, end, module, optimizer, cached, feed.parts)
 
-    def _learn(self, module: nn.Module, optimizer: torch.optim.Optimizer, batch: Sequence[View]) -> float:
-        torch.manual_seed(self.recipe.seed * 1_000_003 + self.step)
-        module.train()
-        images = self._views(batch)
-        labels = torch.tensor([view.label for view in batch], device=self.fabric.device)
-        loss = self.objective(module(images).float(), labels)
-        self.fabric.backward(loss)
-        self.fabric.clip_gradients(module, optimizer, max_norm=1.0, error_if_nonfinite=False)
-        optimizer.step()
-        optimizer.zero_grad()
-        self._average()
-        return float(loss.detach())
+    def _step(self, stage: _Stage) -> None:
+        state, recipe = self.state, self.recipe
+        self._mine()
+        set_rates(stage.optimizer, rate_factor(state.step - stage.first, stage.end - stage.first, recipe))
+        loss = self._learn(stage, self.feed.batch(state.step))
+        drift(state.average, state.model, decay=recipe.average, step=state.step)
+        state.step += 1
+        self.record.draw(state, stage.optimizer, loss)
+        measured = state.step % recipe.measure_every == 0 or state.step == stage.end
+        if measured:
+            self._tell_news()
+            self.record.measure(state, stage=stage.name, loss=loss)
+        if measured or state.step % recipe.save_every == 0:
+            self.record.save(state, stage.optimizer, self.fabric.strategy.precision.state_dict())
+            self.fabric.barrier()
 
-    @torch.no_grad()
-    def _average(self) -> None:
-        """Keep a running mean of the weights: it wanders less than the weights of any one step."""
-        decay = min(self.recipe.average, self.step / (self.step + 10))  # a young mean soon forgets its start
-        for mean, weight in zip(self.average.parameters(), self.model.parameters(), strict=True):
-            mean.lerp_(weight, 1 - decay)
+    def _learn(self, stage: _Stage, batch: Sequence[View]) -> float:
+        seed = step_seed(self.recipe.seed, self.state.step, self.fabric.global_rank)
+        torch.manual_seed(seed)
+        stage.module.train()
+        parts = stage.parts(self.state.step, batch)
+        if stage.cached:  # whatever had to be described first
+            torch.manual_seed(seed)
+        labels = self.feed.labels(batch)
+        loss = float(
+            learn(self.fabric, stage.module, parts=parts, labels=labels, objective=self.objective, seed=seed)
+        )
+        length = self.fabric.clip_gradients(
+            stage.module,
+            stage.optimizer,
+            max_norm=self.recipe.clip or math.inf,
+            error_if_nonfinite=False,
+        )
+        self._insist(loss, float(length), batch)
+        stage.optimizer.step()
+        stage.optimizer.zero_grad()
+        return loss
 
-    def _views(self, batch: Sequence[View]) -> Float[Tensor, "batch 3 height width"]:
-        photos = self.shelf.photos([view.path for view in batch]).to(self.fabric.device)
-        mirrored = torch.tensor([view.mirrored for view in batch], device=self.fabric.device)
-        photos = torch.where(mirrored[:, None, None, None], photos.flip(-1), photos)
-        with torch.no_grad():
-            seen: Tensor = self.augment(photos.float() / 255).clamp(0, 1)
-            return (seen - self.model.mean) / self.model.std
+    def _insist(self, loss: float, length: float, batch: Sequence[View]) -> None:
+        """Stop where there is nothing sound to learn; half precision may overshoot, and then lowers its scale."""
+        scaler = getattr(self.fabric.strategy.precision, "scaler", None)
+        scaling = scaler is not None and float(scaler.get_scale()) >= 1
+        if not math.isfinite(loss):
+            raise self.record.stop(self.state, batch, f"the loss is {loss}")
+        if not math.isfinite(length) and not scaling:
+            raise self.record.stop(self.state, batch, f"the gradient's length is {length}")
 
-    def _tell(self, stage: str, loss: float, optimizer: torch.optim.Optimizer) -> None:
-        told: dict[str, Any] = {
-            "step": self.step,
-            "stage": stage,
-            "loss": round(loss, 4),
-            "seconds": round(time.monotonic() - self.began, 1),
-        }
-        if self.choose:
-            told["held_out"] = precision_held_out(self.average, self.choose, self.shelf)
-        score = (
-            told["held_out"]["mean"] if self.choose else float(self.step)
-        )  # nothing to choose by: the last
-        if score > self.best["score"]:
-            self.best = {"score": score, "weights": copy.deepcopy(self.average.state_dict())}
-        with (self.folder / LOG).open("a", encoding="utf-8") as log:
-            log.write(json.dumps(told) + "\n")
-        self.say(json.dumps(told))
-        self._save(optimizer)
+    def _mine(self) -> None:
+        """Where the recipe wants batches of places that look alike, look for them every so often."""
+        step, recipe, feed = self.state.step, self.recipe, self.feed
+        if recipe.sampler != "cliques" or step == 0 or step % recipe.mine_every:
+            return
+        cliques: list[list[int]] = []
+        if self.record.first:
+            cliques = mine(
+                self.state.average, feed.places, feed.in_use, folder=self.record.folder, size=recipe.clique
+            )
+            self.record.tell(f"{len(cliques)} cliques of places that look alike at step {step}")
+        self.state.cliques = self.fabric.broadcast(cliques)
+        feed.use_cliques(self.state.cliques)
 
-    def _save(self, optimizer: torch.optim.Optimizer) -> None:
-        state = {
-            "recipe": asdict(self.recipe),
-            "architecture": self.model.config.as_dict(),
-            "step": self.step,
-            "model": self.model.state_dict(),
-            "average": self.average.state_dict(),
-            "best": self.best,
-            "optimizer": optimizer.state_dict(),
-        }
-        draft = self.folder / f"{CHECKPOINT}.part"
-        torch.save(state, draft)
-        draft.replace(self.folder / CHECKPOINT)
-
-    def _saved(self) -> dict[str, Any] | None:
-        path = self.folder / CHECKPOINT
-        if not path.is_file():
-            return None
-        saved: dict[str, Any] = torch.load(path, map_location=self.fabric.device, weights_only=True)
-        for key, mine in (("recipe", asdict(self.recipe)), ("architecture", self.model.config.as_dict())):
-            if saved.get(key) != mine:
-                raise ModelError(f"{path} belongs to a run of another {key}; choose another folder with --to")
-        return saved
+    def _tell_news(self) -> None:
+        for news in self.feed.news():
+            self.record.tell(news)
 
 
-def rate_factor(step: int, steps: int, recipe: Recipe) -> float:
-    """What the learning rate is multiplied by at a step of its stage: up, then linearly down."""
-    rising = min(1.0, (step + 1) / max(1, recipe.warmup))
-    falling = 1 - (1 - recipe.last) * step / max(1, steps)
-    return rising * falling
+def _silence(_: str) -> None:
+    """What the other processes say."""
 
 
-def _optimizer(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
-    groups = [
-        {"params": list(_trained(part)), "rate": rate}
-        for part, rate in ((model.aggregator, recipe.head_rate), (model.backbone, recipe.trunk_rate))
-    ]
-    return torch.optim.AdamW([group for group in groups if group["params"]], weight_decay=recipe.weight_decay)
-
-
-def _trained(part: nn.Module) -> Iterator[nn.Parameter]:
-    return (weight for weight in part.parameters() if weight.requires_grad)
-
-
-def _fabric(accelerator: str, precision: Precision) -> Any:
-    try:
-        from lightning_fabric import Fabric
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
-    return Fabric(accelerator=accelerator, devices=1, precision=precision)
+def _no_progress(_: int, __: int | None) -> None:
+    """Nobody watches."""

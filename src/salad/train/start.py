@@ -9,21 +9,35 @@ from torch import Tensor
 
 from salad.errors import MissingExtraError, WeightsError
 from salad.model.describer import Describer
-from salad.model.weights import read_tensors
+from salad.model.trunks import own_names
+from salad.model.weights import read_folder, read_tensors
+from salad.model.zoo import ZOO, fetch
 
 OF_THE_LAST_NORM = {"norm.weight", "norm.bias"}  # a transformer cut short has none of its own and learns one
 
 
 def start_backbone(model: Describer, start: str) -> None:
-    """Fill the backbone from `start`: `imagenet`, a file with its names, or nothing for an untrained one.
+    """Fill the backbone from `start`.
+
+    Args:
+        model: whose backbone.
+        start: `imagenet`, a bare backbone of the zoo such as `dinov2-vitb14`, a file with the backbone's names,
+            or nothing for an untrained one. A whole model of ours (`salad-lite`, or a folder) starts the
+            aggregator too: so one goes on with a model on photos of one's own.
 
     Raises:
-        WeightsError: the file lacks a tensor of the backbone, or has one of another shape.
+        WeightsError: the file lacks a tensor of the backbone, or has one of another shape; or the model is of
+            another architecture.
+        FetchError: the zoo's file has to be fetched first and cannot be.
         MissingExtraError: the package that brings the ImageNet weights is not installed.
     """
     if not start:
         return
-    given = read_tensors(imagenet_lite0() if start == "imagenet" else Path(start))
+    path = _path(start)
+    if path.is_dir():
+        _start_whole(model, path)
+        return
+    given = own_names(model.backbone, read_tensors(path))
     wanted = model.backbone.state_dict()
     missing = sorted(wanted.keys() - given.keys() - OF_THE_LAST_NORM)
     if missing:
@@ -33,6 +47,30 @@ def start_backbone(model: Describer, start: str) -> None:
         raise WeightsError(f"{start} is of another backbone; of another shape: {', '.join(other[:5])}")
     own: dict[str, Tensor] = {key: given.get(key, wanted[key]).to(torch.float32) for key in wanted}
     model.backbone.load_state_dict(own)
+
+
+def _path(start: str) -> Path:
+    if start == "imagenet":
+        return imagenet_lite0()
+    if start in ZOO and not Path(start).exists():
+        if ZOO[start].layout not in {"hub", "own"}:
+            raise WeightsError(
+                f"{start} is a published model, which training cannot start from: give a bare backbone such as "
+                "dinov2-vitb14, or a folder that training wrote"
+            )
+        return fetch(start)
+    return Path(start)
+
+
+def _start_whole(model: Describer, folder: Path) -> None:
+    given = read_folder(folder)
+    for part in ("backbone", "aggregator"):
+        theirs, wanted = getattr(given.config, part), getattr(model.config, part)
+        if theirs != wanted:
+            raise WeightsError(
+                f"{folder} has another {part} ({theirs}) than what is to be trained ({wanted})"
+            )
+    model.load_state_dict(given.state_dict())
 
 
 def imagenet_lite0() -> Path:

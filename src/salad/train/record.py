@@ -1,0 +1,136 @@
+"""What a run tells and keeps as it goes: measurements, curves, checkpoints, and the models in the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from salad.data.places import View
+from salad.errors import TrainingError
+from salad.model.weights import write_folder
+from salad.train import runfolder
+from salad.train.board import Board
+from salad.train.choose import Judge
+from salad.train.state import State
+
+Say = Callable[[str], None]
+_NAMED = 4  # photos of a batch that an error names; all of them stand in a file
+
+
+class Record:
+    """The one hand that writes into a run's folder, in the first process alone.
+
+    Args:
+        folder: the run's.
+        identity: what makes the run this one, for whoever wants to go on with it.
+        judge: what measures the model; None where the last weights are as good as any.
+        tell: takes a line whenever there is something to tell.
+        first: whether this is the first process; in all others nothing happens here.
+        processes: how many share the batches.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        identity: Mapping[str, Any],
+        *,
+        judge: Judge | None,
+        tell: Say,
+        first: bool,
+        processes: int = 1,
+    ) -> None:
+        self.folder, self.identity, self.judge = folder, identity, judge
+        self.tell, self.first, self.processes = tell, first, processes
+        self._board: Board | None = None
+
+    def begin(
+        self, state: State, saved: Mapping[str, Any] | None, *, resolved: Mapping[str, Any], board: bool
+    ) -> None:
+        """Open the folder: for a new run, or at the step where the one that was saved goes on."""
+        if not self.first:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if saved is None or not (self.folder / runfolder.CONFIG).is_file():
+            runfolder.write_json(self.folder / runfolder.CONFIG, resolved)
+        runfolder.trim_log(self.folder, state.step)
+        if saved is not None:
+            self.tell(f"going on from step {state.step}")
+            before = saved.get("processes", self.processes)
+            if before != self.processes:
+                self.tell(
+                    f"the run began on {before} processes and goes on on {self.processes}: what is random falls "
+                    "out differently from here"
+                )
+        if board:
+            self._board = Board(self.folder, step=state.step)
+
+    def draw(self, state: State, optimizer: torch.optim.Optimizer, loss: float) -> None:
+        """Add a step's loss and rate to the curves."""
+        if self._board:
+            rate = max(group["lr"] for group in optimizer.param_groups)
+            self._board.draw(state.step, {"loss": loss, "rate": rate})
+
+    def measure(self, state: State, *, stage: str, loss: float) -> None:
+        """Judge the mean weights, keep them if they are the best, and tell."""
+        if not self.first:
+            return
+        told: dict[str, Any] = {
+            "step": state.step,
+            "stage": stage,
+            "loss": round(loss, 4),
+            "seconds": round(state.seconds, 1),
+        }
+        score = float(state.step)  # nothing to choose by: the last
+        if self.judge:
+            told[self.identity["judge"]] = figures = self.judge(state.average)
+            score = self._score(figures, state.step)
+            if self._board:
+                self._board.draw(state.step, {f"score/{name}": value for name, value in figures.items()})
+                self._board.flush()
+        state.improved(score)
+        self.tell(runfolder.write_log(self.folder, told))
+
+    def _score(self, figures: Mapping[str, float], step: int) -> float:
+        score = figures.get("mean", math.nan)
+        if not math.isfinite(score):
+            raise TrainingError(
+                f"the judge gave no mean that is a number at step {step}, but {dict(figures)}"
+            )
+        return score
+
+    def save(self, state: State, optimizer: torch.optim.Optimizer, scaler: Mapping[str, Any]) -> None:
+        """Write the checkpoint that a killed run goes on from."""
+        if self.first:
+            told = {**self.identity, "processes": self.processes}
+            runfolder.save(self.folder, {**told, **state.as_saved(optimizer, scaler)})
+
+    def stop(self, state: State, batch: Sequence[View], what: str) -> TrainingError:
+        """Name the batch that a run cannot get past: a few photos in the sentence, all of them in a file."""
+        photos = [str(view.path) for view in batch]
+        if self.first:
+            runfolder.write_json(
+                self.folder / runfolder.STOPPED, {"step": state.step, "why": what, "photos": photos}
+            )
+        return TrainingError(
+            f"{what} at step {state.step + 1}, in the batch of {', '.join(photos[:_NAMED])}"
+            f"{f' and {len(photos) - _NAMED} more' if len(photos) > _NAMED else ''} "
+            f"(all in {self.folder / runfolder.STOPPED}); the checkpoint before it stays. Look at these photos, or "
+            "begin anew with lower rates or precision 32-true"
+        )
+
+    def end(self, state: State) -> Path:
+        """Write the best weights and the last ones as models; the folder of the best."""
+        if self._board:
+            self._board.close()
+        best = self.folder / runfolder.MODEL
+        if self.first:
+            last = state.average.cpu().eval()
+            write_folder(last, self.folder / runfolder.LAST, dtype=torch.float16, overwrite=True)
+            model = state.model.cpu().eval()
+            model.load_state_dict(state.best["weights"])
+            write_folder(model, best, dtype=torch.float16, overwrite=True)
+        return best

@@ -1,0 +1,174 @@
+"""The folder of a run: what is in it, and how it is written so that no kill at any time loses or tears anything.
+
+`config.json` says what the run is, `log.jsonl` has a line for each measurement, `last.ckpt` is where to go on from;
+in the end `model/` holds the best weights and `last/` the last ones.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from salad.config import ModelConfig
+from salad.data.places import TrainingPlace
+from salad.errors import ModelError, TrainingError
+from salad.train.launching import versions
+from salad.train.recipe import Preset, Recipe
+from salad.wholefile import write_whole
+
+CHECKPOINT, LOG, CONFIG, MODEL, LAST = "last.ckpt", "log.jsonl", "config.json", "model", "last"
+STOPPED = "stopped.json"
+_INSTEAD = "choose another folder with --to, or remove the file to begin anew"
+_NO_MATTER = {"save_every"}  # settings that may differ when a run goes on: they change no weight
+_YOUNGER = {"data": None, "start": None, "judge": None}  # what checkpoints of older versions do not tell
+
+
+def identity(
+    recipe: Recipe, config: ModelConfig, places: Sequence[TrainingPlace], *, start: str, judge: str
+) -> dict[str, Any]:
+    """What makes a run this one: the same seed gives the same weights only where all of this is the same."""
+    settings = {name: value for name, value in asdict(recipe).items() if name not in _NO_MATTER}
+    return {
+        "recipe": settings,
+        "architecture": config.as_dict(),
+        "data": _digest(places),
+        "start": Path(start).name,  # its folder may be mounted elsewhere
+        "judge": judge,
+    }
+
+
+def _digest(places: Sequence[TrainingPlace]) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for place in places:
+        digest.update(json.dumps([place.city, place.name, [photo.name for photo in place.photos]]).encode())
+    return digest.hexdigest()
+
+
+def resolved(preset: Preset, places: Sequence[TrainingPlace], *, start: str, steps: int) -> dict[str, Any]:
+    """Everything a run is, as `config.json` holds it."""
+    return {
+        "recipe": asdict(preset.recipe),
+        "steps": steps,
+        "model": preset.model.as_dict(),
+        "start": start,
+        "data": {
+            "places": len(places),
+            "photos": sum(len(place.photos) for place in places),
+            "cities": sorted({place.city for place in places}),
+        },
+        "versions": versions(),
+    }
+
+
+def take_up(folder: Path, mine: Mapping[str, Any], *, steps: int, resume: bool) -> dict[str, Any] | None:
+    """What the run in `folder` saved last; None where there is none.
+
+    Args:
+        folder: the run's.
+        mine: the `identity` of the run to go on with.
+        steps: where it ends.
+        resume: whether there has to be one that has not ended.
+
+    Raises:
+        ModelError: the run found there is another one.
+        TrainingError: its checkpoint cannot be read; or `resume` was asked for, and there is nothing to resume.
+    """
+    path = folder / CHECKPOINT
+    if not path.is_file():
+        if resume:
+            raise TrainingError(f"there is no run in {folder} to go on with: leave --resume out to begin one")
+        return None
+    saved = _read(path)
+    _compare(path, saved, mine)
+    if resume and saved["step"] >= steps and (folder / MODEL).is_dir():
+        raise TrainingError(
+            f"the run in {folder} has ended after {saved['step']} steps, and its model is {folder / MODEL}: "
+            "choose another folder with --to"
+        )
+    return saved
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        saved = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a damaged file fails in any way
+        raise TrainingError(f"{path} is damaged ({type(error).__name__}): {_INSTEAD}") from error
+    if not isinstance(saved, dict) or not isinstance(saved.get("step"), int):
+        raise TrainingError(f"{path} is no checkpoint of a run: {_INSTEAD}")
+    return saved
+
+
+def _compare(path: Path, saved: Mapping[str, Any], mine: Mapping[str, Any]) -> None:
+    theirs = {**_YOUNGER, **{key: value for key, value in saved.items() if key in mine}}
+    older = {
+        **asdict(Recipe()),
+        **theirs.get("recipe", {}),
+    }  # settings it does not know stood at their defaults
+    theirs["recipe"] = {name: value for name, value in older.items() if name not in _NO_MATTER}
+    with suppress(ModelError, KeyError):
+        theirs["architecture"] = ModelConfig.from_dict(theirs["architecture"]).as_dict()
+    for key, wanted in mine.items():
+        if theirs.get(key) != wanted and not (key in _YOUNGER and theirs[key] is None):
+            what = f"{key} ({_differing(theirs[key], wanted)})" if key == "recipe" else key
+            raise ModelError(f"{path} belongs to a run of another {what}; choose another folder with --to")
+
+
+def _differing(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
+    names = [name for name in mine if theirs.get(name) != mine[name]]
+    return ", ".join(f"{name} {theirs.get(name)}, not {mine[name]}" for name in names) or "other settings"
+
+
+def save(folder: Path, state: Mapping[str, Any]) -> None:
+    """Write the checkpoint, whole or not at all.
+
+    Raises:
+        TrainingError: it cannot be written; the one before stays.
+    """
+    draft = folder / f"{CHECKPOINT}.part"
+    try:
+        with draft.open("wb") as file:
+            torch.save(dict(state), file)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(folder / CHECKPOINT)
+    except (OSError, RuntimeError) as error:  # torch tells a full disk in either way
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+        raise TrainingError(
+            f"the checkpoint of step {state['step']} cannot be written to {folder}: {error}; the one before "
+            "stays, so make room and run the same command again"
+        ) from error
+
+
+def trim_log(folder: Path, step: int) -> None:
+    """Drop lines of steps that a killed run had measured but not saved: they will be made again."""
+    log = folder / LOG
+    if not log.is_file():
+        return
+    kept = []
+    for line in log.read_text(encoding="utf-8").splitlines():
+        with suppress(ValueError, KeyError, TypeError):  # a line torn by the kill
+            if json.loads(line)["step"] <= step:
+                kept.append(line + "\n")
+    write_whole(log, "".join(kept).encode())
+
+
+def write_log(folder: Path, told: Mapping[str, Any]) -> str:
+    """Add a measurement to the log; the line."""
+    line = json.dumps(told)
+    with (folder / LOG).open("a", encoding="utf-8") as log:
+        log.write(line + "\n")
+    return line
+
+
+def write_json(path: Path, told: Mapping[str, Any]) -> None:
+    """Write settings or findings for people and programs, whole or not at all."""
+    write_whole(path, (json.dumps(told, indent=2, ensure_ascii=False) + "\n").encode())

@@ -1,0 +1,180 @@
+"""`salad train`: what may be given, what is refused in a sentence, and a dry run that writes nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from salad.cli.training import Train
+from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig
+from salad.train.recipe import PRESETS, Preset, Recipe
+
+Cli = Callable[..., Any]
+TINY = ModelConfig(
+    "tiny",
+    LiteConfig(blocks=1),
+    SaladConfig(16, clusters=4, cluster_dim=3, scene_dim=4, hidden=8),
+    Preprocessing(32, 32),
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four places of four photos each."""
+    root, chance = tmp_path_factory.mktemp("taught") / "set", np.random.default_rng(0)
+    for name in "abcd":
+        (root / name).mkdir(parents=True)
+        for number in range(4):
+            pixels = chance.integers(20, 236, (8, 8, 3)).astype(np.uint8)
+            Image.fromarray(pixels).resize((40, 40)).save(root / name / f"{number}.png")
+    return root
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = Recipe(
+        head_steps=1,
+        tune_steps=3,
+        tuned_blocks=1,
+        places=2,
+        views=2,
+        warmup=1,
+        precision="32-true",
+        held_out=0.5,
+    )
+    monkeypatch.setitem(PRESETS, "tiny", Preset(TINY, "", recipe))
+
+
+def _sentence(ran: Any) -> str:
+    assert ran.code == 2, ran.err
+    assert "Traceback" not in ran.err
+    assert not ran.out
+    last: str = ran.err.splitlines()[-1]
+    assert last.startswith("salad: ")
+    return last
+
+
+def test_every_setting_reaches_the_recipe() -> None:
+    given: dict[str, Any] = {
+        "places": 3,
+        "views": 5,
+        "at_once": 7,
+        "size": 28,
+        "head_rate": 0.5,
+        "trunk_rate": 0.25,
+        "augment": "none",
+        "sampler": "cliques",
+        "mine_every": 9,
+        "held_out": 0.25,
+        "measure_every": 11,
+        "save_every": 13,
+        "precision": "16-mixed",
+        "seed": 17,
+        "tuned_blocks": 0,
+        "cache_versions": 19,
+    }
+    recipe = Train(preset="tiny", **given)._preset().recipe
+    assert {name: getattr(recipe, name) for name in given} == given
+    assert (recipe.head_steps, recipe.tune_steps) == (1, 3)
+    assert Train(preset="tiny")._preset() is not None
+    assert Train(preset="tiny")._preset().recipe == PRESETS["tiny"].recipe
+
+
+def test_steps_are_shared_or_given_by_stage() -> None:
+    shared = Train(preset="tiny", steps=8)._preset().recipe
+    assert (shared.head_steps, shared.tune_steps) == (2, 6)
+    apart = Train(preset="paper", tune_steps=8)._preset().recipe
+    assert (apart.head_steps, apart.tune_steps, apart.epochs) == (0, 8, None)
+    assert Train(preset="paper", epochs=2)._preset().recipe.epochs == 2
+
+
+def test_a_benchmark_of_ones_own_is_the_judge(cli: Cli, tmp_path: Path, data: Path) -> None:
+    truth = tmp_path / "truth.csv"
+    truth.write_text("query,positives\n0.png,0.png;1.png\n")
+    sides = ("--references", data / "a", "--queries", data / "b", "--truth", truth)
+    ran = cli(
+        "train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", *sides, "--accelerator", "cpu"
+    )
+    assert ran.code == 0, ran.err
+    told = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in told] == [1, 4]
+    assert all(line["benchmark"]["mean"] == line["benchmark"]["R@1"] for line in told)
+
+
+def test_a_run_can_be_insisted_on(cli: Cli, tmp_path: Path, data: Path) -> None:
+    command = ("train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", "--accelerator", "cpu")
+    assert "no run in" in _sentence(cli(*command, "--resume"))
+    assert not (tmp_path / "run").exists()
+    ran = cli(*command)
+    assert (ran.code, ran.out) == (0, f"{tmp_path / 'run' / 'model'}\n")
+    assert "has ended after 4 steps" in _sentence(cli(*command, "--resume"))
+    assert "another recipe" in _sentence(cli(*command, "--seed", 9))
+
+
+def test_a_dry_run_tells_and_writes_nothing(
+    cli: Cli, tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = cli("train", "--preset", "tiny", "--data", data, "--to", "run", "--dry-run", "--accelerator", "cpu")
+    assert ran.code == 0, ran.err
+    for told in (
+        "2 places x 2 photos at 32 x 32",
+        "weights trained",
+        "MB a process",
+        "minutes",
+        "4 photos of noise",
+    ):
+        assert told in ran.out
+    assert "nothing was written" in ran.err
+    assert list(tmp_path.iterdir()) == []
+    assert "name it with --data" in cli("train", "--preset", "tiny", "--dry-run", "--accelerator", "cpu").out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--preset", "nope"], "no preset 'nope'"),
+        (["--places", "1"], "places of the recipe is 1"),
+        (["--steps", "0"], "0 steps teach nothing"),
+        (["--steps", "5", "--head-steps", "2"], "--steps counts both stages"),
+        (["--head-rate", "nan"], "head_rate of the recipe is nan"),
+        (["--held-out", "1.5"], "held_out of the recipe is 1.5"),
+        (["--devices", "0"], "devices 0 is too few"),
+        (["--nodes", "-1"], "nodes -1 is too few"),
+        (["--devices", "9", "--accelerator", "cpu"], "without any"),
+        (["--sampler", "cliques"], "batches of cliques need mine_every"),
+        (["--cache-versions", "2"], "only under a frozen backbone"),
+        (["--epochs", "2"], "epochs are counted by the sampler one-city alone"),
+        (["--truth", "truth.csv"], "name its folders with --references and --queries"),
+        (["--references", "here"], "--queries is missing"),
+        (["--start", "megaloc"], "megaloc is a published model"),
+        (["--accelerator", "abacus"], "training cannot run on 1 of 'abacus'"),
+    ],
+)
+def test_bad_values_are_refused_in_a_sentence(
+    cli: Cli, tmp_path: Path, data: Path, arguments: list[str], said: str
+) -> None:
+    ran = cli("train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", *arguments)
+    assert said in _sentence(ran)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("missing", ["--data", "--to"])
+def test_without_data_or_folder_there_is_no_run(cli: Cli, tmp_path: Path, data: Path, missing: str) -> None:
+    given = {"--data": data, "--to": tmp_path / "run"}
+    del given[missing]
+    rest = [part for pair in given.items() for part in pair]
+    assert f"{missing} is missing" in _sentence(cli("train", "--preset", "tiny", *rest))
+
+
+@pytest.mark.parametrize("arguments", [["--augment", "sepia"], ["--precision", "8"], ["--sampler", "all"]])
+def test_a_word_there_is_not_is_refused(cli: Cli, data: Path, tmp_path: Path, arguments: list[str]) -> None:
+    ran = cli("train", "--data", data, "--to", tmp_path / "run", *arguments)
+    assert ran.code == 2
+    assert not (tmp_path / "run").exists()
