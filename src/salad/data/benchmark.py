@@ -8,21 +8,25 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salad import geo
+from salad.data.folders import frame, two_folders
+from salad.data.headings import looking_alike
+from salad.data.lazy import Ragged, positions
 from salad.data.truth import Names, read_truth
+from salad.data.within import near_on_earth
 from salad.errors import BenchmarkError
-from salad.photos import Photo, PhotoTable, find_photos, read_photo
+from salad.photos import Photo, PhotoTable, parse_at_name, placed, read_photo
 
 Rows = NDArray[np.int64]
+Unanswerable = Literal["drop", "miss"]
 
 
 @dataclass(frozen=True, eq=False)  # positives are arrays, and arrays have no single answer to ==
@@ -32,19 +36,24 @@ class Benchmark:
     Attributes:
         name: What the set is called in a table.
         protocol: The rule that says what is right, e.g. `frames ±2`; shown beside every figure.
-        references: The photos whose places are known.
+        references: The photos whose places are known; of a large set they are made as they are asked for.
         queries: The photos to recognise.
         positives: For each query the rows of `references` that are right, ascending, int64; empty where the
             query cannot be answered.
         notes: Sentences a reader of the figures should see, e.g. how many photos were left out.
+        unanswerable_rule: What becomes of queries without a right reference: left out, or counted as misses.
+        groups: For each query the drive, place or panorama it belongs to, where that is known: queries of one
+            group are not independent of one another.
     """
 
     name: str
     protocol: str
-    references: tuple[Photo, ...]
-    queries: tuple[Photo, ...]
-    positives: tuple[Rows, ...]
+    references: Sequence[Photo]
+    queries: Sequence[Photo]
+    positives: Sequence[Rows]
     notes: tuple[str, ...] = ()
+    unanswerable_rule: Unanswerable = "drop"
+    groups: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         """Refuse parts that do not fit together.
@@ -62,17 +71,34 @@ class Benchmark:
                 f"benchmark '{self.name}' has {len(self.queries)} queries but positives for "
                 f"{len(self.positives)}: give one array a query, empty where none is right"
             )
-        for query, rows in zip(self.queries, self.positives, strict=True):
-            if rows.size and not (rows.min() >= 0 and rows.max() < len(self.references)):
-                raise BenchmarkError(
-                    f"a positive of {query.path} is not among the {len(self.references)} references "
-                    f"of benchmark '{self.name}': rows count from 0"
-                )
+        if self.groups is not None and len(self.groups) != len(self.queries):
+            raise BenchmarkError(
+                f"benchmark '{self.name}' has {len(self.queries)} queries but groups for {len(self.groups)}: "
+                "give one a query, or none at all"
+            )
+        self._check_rows()
 
     @property
     def unanswerable(self) -> int:
         """How many queries have no right reference."""
+        if isinstance(self.positives, Ragged):
+            return int((self.positives.lengths == 0).sum())
         return sum(rows.size == 0 for rows in self.positives)
+
+    @property
+    def counted(self) -> int:
+        """How many queries a share is taken of, by this benchmark's rule."""
+        return len(self.queries) - (self.unanswerable if self.unanswerable_rule == "drop" else 0)
+
+    def _check_rows(self) -> None:
+        flat = self.positives if isinstance(self.positives, Ragged) else Ragged.of(self.positives)
+        wrong = np.flatnonzero((flat.values < 0) | (flat.values >= len(self.references)))
+        if wrong.size:
+            query = self.queries[int(np.searchsorted(flat.ends, wrong[0], side="right")) - 1]
+            raise BenchmarkError(
+                f"a positive of {query.path} is not among the {len(self.references)} references "
+                f"of benchmark '{self.name}': rows count from 0"
+            )
 
 
 def from_truth(references: Path, queries: Path, truth_csv: Path, *, name: str | None = None) -> Benchmark:
@@ -91,7 +117,7 @@ def from_truth(references: Path, queries: Path, truth_csv: Path, *, name: str | 
         BenchmarkError: The table cannot be read, lacks a column, repeats a query or names an unknown photo.
         PhotoError: A folder is missing or holds no photo.
     """
-    reference_paths, query_paths = _two_folders(references, queries)
+    reference_paths, query_paths = two_folders(references, queries)
     truth = read_truth(truth_csv, Names(references, reference_paths), Names(queries, query_paths))
     left_out = len(query_paths) - len(truth)
     note = f"{left_out} photos of {queries} are not in {truth_csv.name} and were left out"
@@ -122,7 +148,7 @@ def from_frames(references: Path, queries: Path, tolerance: int, *, name: str | 
     """
     if tolerance < 0:
         raise BenchmarkError(f"a tolerance of {tolerance} frames makes nothing right: give 0 or more")
-    reference_paths, query_paths = _two_folders(references, queries)
+    reference_paths, query_paths = two_folders(references, queries)
     by_frame: dict[int, int] = {}
     for row, path in enumerate(reference_paths):
         first = by_frame.setdefault(_frame(path), row)
@@ -134,8 +160,8 @@ def from_frames(references: Path, queries: Path, tolerance: int, *, name: str | 
     frames = sorted(by_frame)
     positives = []
     for path in query_paths:
-        frame = _frame(path)
-        near = frames[bisect_left(frames, frame - tolerance) : bisect_right(frames, frame + tolerance)]
+        here = _frame(path)
+        near = frames[bisect_left(frames, here - tolerance) : bisect_right(frames, here + tolerance)]
         positives.append(_rows(by_frame[other] for other in near))
     return Benchmark(
         name=name or _common_name(references, queries),
@@ -152,48 +178,51 @@ def from_radius(
     metres: float,
     *,
     table: PhotoTable | None = None,
+    heading: float | None = None,
     name: str | None = None,
 ) -> Benchmark:
     """Take photos that know where they were taken: right is a reference at most `metres` away.
+
+    A photo is only opened for its EXIF where neither the table nor its `@` name says where it was taken.
 
     Args:
         references: Folder of reference photos.
         queries: Folder of query photos.
         metres: The radius, along the great circle.
         table: Positions of photos that do not carry their own (EXIF or `@` name).
+        heading: Where given, right is only what also looks the same way, within so many degrees.
         name: What to call the set; by default the folder that holds both.
 
     Raises:
-        BenchmarkError: A photo has no position, or the radius is not a positive number.
+        BenchmarkError: A photo has no position or no heading, or the radius is not a positive number.
         PhotoError: A folder is missing or holds no photo.
         PositionError: A photo's position makes no sense.
     """
     if not (metres > 0 and math.isfinite(metres)):
         raise BenchmarkError(f"a radius of {metres} m makes no sense: give a positive number of metres")
-    reference_paths, query_paths = _two_folders(references, queries)
-    reference_photos = tuple(read_photo(path, table) for path in reference_paths)
-    query_photos = tuple(read_photo(path, table) for path in query_paths)
+    reference_paths, query_paths = two_folders(references, queries)
+    turned = heading is not None
+    reference_photos = tuple(_known(path, table, turned) for path in reference_paths)
+    query_photos = tuple(_known(path, table, turned) for path in query_paths)
+    ours, theirs = _positions(query_photos, "query"), _positions(reference_photos, "reference")
+    positives = near_on_earth(ours, theirs, metres)
+    if heading is not None:
+        positives = looking_alike(query_photos, reference_photos, positives, heading)
     return Benchmark(
         name=name or _common_name(references, queries),
-        protocol=f"radius {metres:.10g} m",
+        protocol=f"radius {metres:.10g} m" + (f", heading ±{heading:.10g}°" if heading is not None else ""),
         references=reference_photos,
         queries=query_photos,
-        positives=_within(
-            _positions(query_photos, "query"), _positions(reference_photos, "reference"), metres
-        ),
+        positives=positives,
     )
 
 
-def _two_folders(references: Path, queries: Path) -> tuple[list[Path], list[Path]]:
-    """List both folders' photos; a photo in both would find itself and lift every figure."""
-    reference_paths, query_paths = find_photos([references]), find_photos([queries])
-    both = set(map(os.path.realpath, reference_paths)) & set(map(os.path.realpath, query_paths))
-    if both:
-        raise BenchmarkError(
-            f"{len(both)} photos are references and queries at once, the first {min(both)}: "
-            "give two folders that share no photo"
-        )
-    return reference_paths, query_paths
+def _known(path: Path, table: PhotoTable | None, turned: bool) -> Photo:
+    """A photo with what its name and the table say, and its EXIF only where they do not say enough."""
+    told = parse_at_name(path.name)
+    photo = placed(Photo(path, told.where, told.heading, told.time) if told else Photo(path), table)
+    enough = photo.where is not None and (photo.heading is not None or not turned)
+    return photo if enough else read_photo(path, table)
 
 
 def _common_name(references: Path, queries: Path) -> str:
@@ -210,38 +239,18 @@ def _rows(rows: Iterable[int]) -> Rows:
 
 
 def _frame(path: Path) -> int:
-    """Read the last whole number in a photo's name."""
-    numbers = re.findall(r"[0-9]+", path.stem)
-    if not numbers:
-        raise BenchmarkError(f"{path} has no number in its name to tell its frame: rename it or leave it out")
-    return int(numbers[-1])
+    """Read the last whole number in a photo's name; said with its whole path where there is none."""
+    return frame(str(path))
 
 
 def _positions(photos: Sequence[Photo], role: str) -> NDArray[np.float64]:
     """Stack latitudes and longitudes, float64 [N, 2]; every photo must have one."""
-    nowhere = [photo for photo in photos if photo.where is None]
-    if nowhere:
+    where = positions(photos)
+    nowhere = np.flatnonzero(np.isnan(where[:, 0]))
+    if nowhere.size:
         raise BenchmarkError(
-            f"{len(nowhere)} of {len(photos)} {role} photos have no position, the first {nowhere[0].path}: "
-            "give photos with GPS in their EXIF data or with `@` names, or leave these out"
+            f"{nowhere.size} of {len(photos)} {role} photos have no position, the first "
+            f"{photos[int(nowhere[0])].path}: give photos with GPS in their EXIF data or with `@` names, "
+            "or leave these out"
         )
-    return np.array([(photo.where.lat, photo.where.lon) for photo in photos if photo.where is not None])
-
-
-def _within(queries: NDArray[np.float64], references: NDArray[np.float64], metres: float) -> tuple[Rows, ...]:
-    """Find the references at most `metres` from each query.
-
-    Only references in the band of latitude that the radius spans are measured, so that tens of thousands a
-    side take seconds and no matrix of all pairs is ever built.
-    """
-    order = np.argsort(references[:, 0], kind="stable")
-    ordered = references[order]
-    one_degree = float(geo.metres(0.0, 0.0, 1.0, 0.0))
-    band = metres / one_degree * (1 + 1e-9) + 1e-9  # with room for rounding
-    starts = np.searchsorted(ordered[:, 0], queries[:, 0] - band, side="left")
-    stops = np.searchsorted(ordered[:, 0], queries[:, 0] + band, side="right")
-    positives = []
-    for (lat, lon), start, stop in zip(queries, starts, stops, strict=True):
-        near = geo.metres(lat, lon, ordered[start:stop, 0], ordered[start:stop, 1]) <= metres
-        positives.append(np.sort(order[start:stop][near]).astype(np.int64))
-    return tuple(positives)
+    return where

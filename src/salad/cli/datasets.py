@@ -1,0 +1,128 @@
+"""`salad datasets`: which protocols there are, and what a folder is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg, subcommand
+
+from salad.cli import shell
+from salad.cli.arguments import Form
+
+if TYPE_CHECKING:
+    from salad.data.rules import Protocol
+
+
+@dataclass(frozen=True)
+class List:
+    """List the protocols: their sets, how many photos, what is right, where to get them."""
+
+    format: Form = "table"
+
+    def run(self) -> int:
+        """List."""
+        from salad.data.protocols import PROTOCOLS
+
+        rows = [_told(protocol) for protocol in PROTOCOLS.values()]
+        if self.format == "json":
+            shell.put_json(rows)
+            return shell.FOUND
+        shown = (
+            "protocol",
+            "references",
+            "queries",
+            "right when",
+            "unanswerable",
+            "layouts",
+            "get",
+            "licence",
+        )
+        shell.put_table(_table(shown, (_cells(row, shown) for row in rows)))
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say what a folder is: which layouts it is in, how many photos, which protocols fit and what is missing."""
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR", help="The folder of a data set.")]
+    format: Form = "table"
+
+    def run(self) -> int:
+        """Check."""
+        from salad.data.checking import check
+
+        findings = check(self.folder)
+        if self.format == "json":
+            shell.put_json([asdict(finding) for finding in findings])
+        elif findings:
+            shown = ("protocol", "fits", "layout", "references", "queries", "unanswerable", "missing")
+            shell.put_table(
+                _table(shown, ([_cell(getattr(finding, name)) for name in shown] for finding in findings))
+            )
+        if not findings:
+            shell.say(_nothing(self.folder))
+        return shell.FOUND if any(finding.fits for finding in findings) else shell.NOTHING
+
+
+@dataclass(frozen=True)
+class Datasets:
+    """See which protocols there are, and what a folder is."""
+
+    command: Annotated[List, subcommand("list")] | Annotated[Check, subcommand("check")]
+
+    def run(self) -> int:
+        """Pass on."""
+        return self.command.run()
+
+
+def _told(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "protocol": protocol.name,
+        "references": protocol.references,
+        "queries": protocol.queries,
+        "about": protocol.about,
+        "right when": "as your options say" if protocol.yours else str(protocol.rule),
+        "unanswerable": protocol.unanswerable,
+        "layouts": list(protocol.layouts),
+        "get": protocol.get,
+        "licence": protocol.licence,
+    }
+
+
+def _cells(row: dict[str, Any], shown: Iterable[str]) -> list[str]:
+    """A protocol's cells; a published number that is round says so."""
+    told = {name: _cell(row[name]) for name in shown}
+    if row["about"]:
+        told["references"] = f"about {told['references']}"
+    return list(told.values())
+
+
+def _nothing(folder: Path) -> str:
+    from salad.data.layouts import LAYOUTS
+
+    known = "; ".join(f"{layout.name} ({layout.what})" for layout in LAYOUTS.values())
+    return f"{folder} is in no layout known here: {known}"
+
+
+def _table(names: Iterable[str], rows: Iterable[list[str]]) -> Any:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(*names, box=None, pad_edge=False, header_style="bold")
+    for row in rows:
+        table.add_row(*map(Text, row))  # a folder's name may hold what rich takes for style
+    return table
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, list | tuple):
+        return "; ".join(map(str, value))
+    return "-" if value is None else str(value)

@@ -1,0 +1,149 @@
+"""Just enough of MATLAB's file format, version 5, to read the structure that a benchmark's ground truth comes in.
+
+Structures, cells, texts and real numbers are read, packed or not, of either byte order. It is a page of code, so it is
+here rather than asking a user for SciPy, whose reader takes anything a file may hold.
+
+Source: MathWorks, "MAT-File Format", level 5.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salad.errors import BenchmarkError
+
+Value = dict[str, Any] | list[Any] | str | NDArray[np.float64]
+
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_CODINGS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+_MATRIX, _PACKED = 14, 15
+_CELL, _STRUCT, _TEXT = 1, 2, 4
+_NUMBERS = range(6, 16)
+_MOST = 1 << 29  # bytes that one variable may unpack to
+_DEEPEST = 8
+_FAULTS = (struct.error, zlib.error, ValueError, IndexError, KeyError, TypeError, OverflowError)
+
+
+def read_struct(path: Path, name: str) -> dict[str, Value]:
+    """Read a structure out of a `.mat` file.
+
+    Args:
+        path: the file.
+        name: the variable.
+
+    Returns:
+        Its fields in their order: structures as dicts, cells as lists, texts, numbers as float64 of their shape.
+
+    Raises:
+        BenchmarkError: the file cannot be read, is damaged or of another version, or has no such structure.
+    """
+    try:
+        data = path.read_bytes()
+        for found, value in _variables(data):
+            if found == name and isinstance(value, dict):
+                return value
+    except OSError as error:
+        raise BenchmarkError(
+            f"{path} cannot be read ({error.strerror}): check the name and its rights"
+        ) from error
+    except _FAULTS as error:
+        raise BenchmarkError(
+            f"{path} is no whole MATLAB file of version 5 ({error}): fetch it again, or save it with -v6 or -v7"
+        ) from error
+    raise BenchmarkError(
+        f"{path} holds no structure called {name}: take the file that the data set comes with"
+    )
+
+
+def _variables(data: bytes) -> Iterator[tuple[str, Value | None]]:
+    """Names and values of a file's variables; None for what is of a kind not read here."""
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None:
+        raise ValueError("its first 128 bytes do not say how it is written")
+    for kind, content in _Elements(data[128:], order):
+        if kind == _PACKED:
+            unpacked = zlib.decompressobj().decompress(content, _MOST)
+            if len(unpacked) == _MOST:
+                raise ValueError("it unpacks to more than any ground truth does")
+            for inner, matrix in _Elements(unpacked, order):
+                if inner == _MATRIX:
+                    yield _matrix(matrix, order, 0)
+        elif kind == _MATRIX:
+            yield _matrix(content, order, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Elements:
+    """The elements that stand one after the other in bytes: each one's kind and content."""
+
+    data: bytes
+    order: str
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        place = 0
+        while place + 8 <= len(self.data):
+            kind, size = struct.unpack_from(f"{self.order}II", self.data, place)
+            if kind >> 16:  # a short one, content and all in eight bytes
+                kind, size, begin, end = kind & 0xFFFF, kind >> 16, place + 4, place + 8
+            else:
+                begin = place + 8
+                end = begin + size + (0 if kind == _PACKED else -size % 8)
+            if begin + size > len(self.data):
+                raise ValueError("it ends in the middle")
+            yield kind, self.data[begin : begin + size]
+            place = end
+
+
+def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Value | None]:
+    """A matrix's name and value."""
+    if depth > _DEEPEST:
+        raise ValueError("its cells are in cells without end")
+    elements = iter(_Elements(data, order))
+    flags, sides, name = (next(elements, (0, b""))[1] for _ in range(3))
+    if not flags:  # nothing at all, which is how an empty cell is written
+        return "", np.zeros((0, 0))
+    kind = struct.unpack_from(f"{order}I", flags)[0] & 0xFF
+    shape = tuple(_numbers(5, sides, order).astype(int).tolist())
+    return name.decode("latin-1"), _value(kind, shape, elements, order, depth)
+
+
+def _value(
+    kind: int, shape: tuple[int, ...], elements: Iterator[tuple[int, bytes]], order: str, depth: int
+) -> Value | None:
+    if kind == _STRUCT:
+        size = int(_numbers(5, next(elements, (0, b""))[1], order)[0])
+        names = next(elements, (0, b""))[1]
+        if size < 1:
+            raise ValueError("a structure's fields have no names")
+        parts = [names[begin : begin + size].split(b"\0")[0] for begin in range(0, len(names), size)]
+        values = [_matrix(content, order, depth + 1)[1] for _, content in elements]
+        return dict(zip([part.decode("latin-1") for part in parts], values, strict=False))
+    if kind == _CELL:
+        return [_matrix(content, order, depth + 1)[1] for _, content in elements]
+    coded, content = next(elements, (9, b""))
+    if kind == _TEXT:
+        return _text(coded, content, order)
+    if kind in _NUMBERS:
+        return _numbers(coded, content, order).reshape(shape, order="F")
+    return None
+
+
+def _text(coded: int, content: bytes, order: str) -> str:
+    coding = _CODINGS[coded]
+    if coding in ("utf-16", "utf-32"):
+        coding += "-le" if order == "<" else "-be"
+    return content.decode(coding)
+
+
+def _numbers(coded: int, content: bytes, order: str) -> NDArray[np.float64]:
+    kind = np.dtype(order + _KINDS[coded])
+    with np.errstate(all="ignore"):  # a signalling NaN in a damaged file
+        return np.frombuffer(content, dtype=kind).astype(np.float64)
