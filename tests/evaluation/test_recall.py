@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 
 from salad.data.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
-from salad.evaluation import evaluate, rank, recall, recall_at
+from salad.evaluation import Held, Ranked, Terms, evaluate, judged, nearest, rank, ranking, recall_at
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo
 
@@ -101,18 +102,106 @@ class TestRank:
         queries=st.lists(st.tuples(small, small), min_size=1, max_size=5),
         references=st.lists(st.tuples(small, small), min_size=1, max_size=9),
         k=st.integers(1, 12),
-        block=st.sampled_from([1, 12, 1 << 20]),
+        block=st.sampled_from([1, 4, 12, 1 << 20]),
     )
     def test_against_a_sort_of_everything(
         self, queries: list[tuple[int, int]], references: list[tuple[int, int]], k: int, block: int
     ) -> None:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(recall, "_BLOCK_SCORES", block)
+            patch.setattr(ranking, "_NUMBERS", block)
+            patch.setattr(ranking, "_QUERIES", block)
+            patch.setattr(ranking, "_PAIRS", block)
             found = rank(np.array(queries, np.float32), np.array(references, np.float32), k=k)
         for query, rows in zip(queries, found, strict=True):
             scores = [query[0] * x + query[1] * y for x, y in references]
             assert rows.tolist() == sorted(range(len(references)), key=lambda row: (-scores[row], row))[:k]
         assert found.dtype == np.int64
+
+    def test_what_ties_but_for_rounding_is_put_in_order_of_row(self) -> None:
+        rng = np.random.default_rng(0)
+        one = rng.standard_normal((3, 700)).astype(np.float32)
+        references = np.concatenate([one] * 40)  # every third row is the same
+        for block in (700, 7000, 1 << 20):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(ranking, "_NUMBERS", block)
+                found = nearest(Held(one), Held(references), k=50)
+            assert found.scores is not None
+            for number, (rows, scores) in enumerate(zip(found.rows, found.scores, strict=True)):
+                assert rows[:40].tolist() == list(range(number, 120, 3))
+                assert len(set(scores[:40].tolist())) == 1
+                assert scores[0] == pytest.approx(float(one[number].astype(float) @ one[number]), rel=1e-12)
+
+    def test_progress_counts_references(self) -> None:
+        seen: list[tuple[int, int]] = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ranking, "_NUMBERS", 2)
+            ones = Held(np.ones((3, 1), np.float32))
+            nearest(ones, ones, k=1, progress=lambda done, total: seen.append((done, total)))
+        assert seen == [(2, 3), (3, 3)]
+
+    def test_refusals(self) -> None:
+        ones = np.ones((2, 3), np.float32)
+        with pytest.raises(BenchmarkError, match="3 numbers each and references 2"):
+            rank(ones, ones[:, :2], k=1)
+        for wrong in (np.nan, np.inf, 1e30):
+            bad = ones.copy()
+            bad[1, 0] = wrong
+            with pytest.raises(BenchmarkError, match=r"query 1 .*NaN"):
+                rank(bad, ones, k=1)
+            with pytest.raises(BenchmarkError, match=r"reference 1 .*NaN"):
+                rank(ones, bad, k=1)
+
+
+@st.composite
+def whole_cases(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, list[list[int]]]:
+    """Descriptors of few values, so that many tie and some are the same, and what is right, often nothing."""
+    dim = draw(st.integers(1, 3))
+    rows = st.lists(st.lists(st.integers(-2, 2), min_size=dim, max_size=dim), min_size=1, max_size=12)
+    queries, references = np.array(draw(rows)), np.array(draw(rows))
+    right = [sorted(draw(st.sets(st.integers(0, len(references) - 1), max_size=3))) for _ in queries]
+    return queries, references, right
+
+
+def plain_recall(
+    queries: np.ndarray, references: np.ndarray, right: list[list[int]], k: int, *, drop: bool
+) -> float | None:
+    """Recall@k with loops and sorts, and nothing of ours."""
+    won = asked = 0
+    for query, rows in zip(queries.tolist(), right, strict=True):
+        if drop and not rows:
+            continue
+        scores = [sum(a * b for a, b in zip(query, one, strict=True)) for one in references.tolist()]
+        first = sorted(range(len(scores)), key=lambda row: (-scores[row], row))[:k]
+        asked, won = asked + 1, won + any(row in rows for row in first)
+    return 100 * won / asked if asked else None
+
+
+class TestAgainstAnIndependentComputation:
+    @settings(max_examples=500, deadline=None)
+    @given(whole_cases(), st.sampled_from(["drop", "miss"]), st.sampled_from([1, 5, 1 << 20]))
+    def test_recall_on_random_data_with_ties_duplicates_and_empty_positives(
+        self, case: tuple[np.ndarray, np.ndarray, list[list[int]]], rule: Any, block: int
+    ) -> None:
+        queries, references, right = case
+        positives = [np.array(rows, dtype=np.int64) for rows in right]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ranking, "_NUMBERS", block)
+            patch.setattr(ranking, "_QUERIES", block)
+            ranked = rank(queries.astype(np.float32), references.astype(np.float32), k=max(KS))
+        due = {k: plain_recall(queries, references, right, k, drop=rule == "drop") for k in KS}
+        if due[1] is None:
+            with pytest.raises(BenchmarkError, match="has a right reference"):
+                recall_at(ranked, positives, KS, unanswerable=rule)
+            return
+        assert recall_at(ranked, positives, KS, unanswerable=rule) == pytest.approx(due)
+        sides = (
+            tuple(Photo(Path(f"{side}{n}.jpg")) for n in range(len(rows)))
+            for side, rows in zip("rq", (references, queries), strict=True)
+        )
+        benchmark = Benchmark("b", "p", *sides, tuple(positives))
+        result = judged(benchmark, Ranked(ranked), Terms(KS, rule, times=2), model="m")
+        assert result.recall == pytest.approx(due)
+        assert result.unanswerable == sum(not rows for rows in right)
 
 
 @pytest.fixture
@@ -149,13 +238,14 @@ class TestEvaluate:
             progress=lambda done, total: seen.append((done, total)),
         )
         assert result.recall == {1: 100.0, 5: 100.0, 99: 100.0}
-        assert seen == [(5, 12), (10, 12), (12, 12)]
+        assert seen == [(5, 12), (6, 12), (11, 12), (12, 12)]
         assert (result.benchmark, result.notes) == ("drive", ("a note",))
 
     def test_json(self, drive: Benchmark) -> None:
         shown = json.loads(json.dumps(evaluate(drive, FakeDescriber()).as_dict(), allow_nan=False))
-        assert shown.pop("seconds") >= 0
-        assert shown == {
+        assert shown["seconds"] >= 0
+        old = ("protocol", "queries", "references", "unanswerable", "recall", "model")
+        assert {name: shown[name] for name in old} == {
             "protocol": "frames ±0",
             "queries": 6,
             "references": 6,
@@ -163,11 +253,51 @@ class TestEvaluate:
             "recall": {"1": 100.0, "5": 100.0, "10": 100.0, "20": 100.0},
             "model": "fake",
         }
+        assert shown["drawn"] == {
+            "by": "block",
+            "units": 5,
+            "length": 1,
+            "level": 0.95,
+            "times": 2000,
+            "seed": 0,
+        }
+        low, high = shown["intervals"]["1"]
+        assert 30 < low < 50  # five of five
+        assert high == 100
+        assert shown["precision_recall"]["area"] <= 100
+        assert (shown["metres"], shown["leaks"], shown["benchmark"]) == (None, None, "drive")
+        assert shown["fingerprint"] == FakeDescriber().fingerprint
 
     def test_misses_are_named_in_the_protocol(self, drive: Benchmark) -> None:
         result = evaluate(drive, FakeDescriber(), ks=(1,), unanswerable="miss")
         assert result.recall[1] == pytest.approx(500 / 6)
         assert result.protocol == "frames ±0, unanswerable queries count as misses"
+
+    def test_a_rule_that_the_protocol_brings_is_part_of_its_name(self, drive: Benchmark) -> None:
+        published = replace(drive, protocol="msls-val-11k", unanswerable_rule="miss")
+        result = evaluate(published, FakeDescriber(), ks=(1,))
+        assert (result.protocol, result.unanswerable_rule) == ("msls-val-11k", "miss")
+        assert result.recall[1] == pytest.approx(500 / 6)
+        told = evaluate(published, FakeDescriber(), ks=(1,), unanswerable="drop")
+        assert (told.protocol, told.recall[1]) == ("msls-val-11k, unanswerable queries left out", 100.0)
+
+    def test_verdicts_say_what_became_of_each_query(self, drive: Benchmark) -> None:
+        result = evaluate(drive, FakeDescriber(), ks=(1, 3))
+        assert [one.query for one in result.verdicts] == [f"q{number}.png" for number in range(6)]
+        for number, one in enumerate(result.verdicts[:5]):
+            assert (one.first_right, one.right, one.positives) == (1, number, 1)
+            assert one.matches[0] == number
+            assert one.scores is not None
+            assert len(one.matches) == len(one.scores) == 3
+            assert list(one.scores) == sorted(one.scores, reverse=True)
+            assert result.known[number].name == f"r{number}.png"
+        last = result.verdicts[5]
+        assert (last.first_right, last.right, last.positives, last.hit(99)) == (None, None, 0, False)
+        assert {row for one in result.verdicts for row in one.matches} <= result.known.keys()
+
+    def test_as_many_rankings_as_queries(self, drive: Benchmark) -> None:
+        with pytest.raises(BenchmarkError, match="1 rankings but 6 queries"):
+            judged(drive, Ranked(np.array([[0]])), Terms(), model="m")
 
     def test_batches_do_not_matter(self, drive: Benchmark) -> None:
         recalls = [evaluate(drive, FakeDescriber(dim=2), batch_size=size).recall for size in (1, 7, 64)]

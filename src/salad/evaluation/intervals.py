@@ -1,0 +1,236 @@
+"""How sure a figure is: 95 % intervals by drawing the queries again, those that hang together together.
+
+Queries that share a sequence or a place, and neighbouring frames of one drive, succeed and fail together: a
+hundred of them tell less than a hundred photos of a hundred places. So whole groups are drawn (cluster
+bootstrap), or whole stretches of a drive (circular block bootstrap, Politis and Romano 1992).
+
+Shares have an interval of Wilson's form (1927) with the spread of the draws in place of the binomial one, as
+surveys do it (Korn and Graubard 1998): taken straight from the draws, it would be a point where every query is
+right. Everything else has the draws' own percentiles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+LEVEL = 0.95
+TIMES = 2000
+_NUMBERS = 1 << 21  # weights held at once: 16 MiB
+
+By: TypeAlias = Literal["query", "group", "block"]
+Weights: TypeAlias = Float64[np.ndarray, "draws queries"]
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """Where the truth lies, 95 times in 100."""
+
+    low: float
+    high: float
+
+    def as_list(self) -> list[float]:
+        """The two ends, for JSON."""
+        return [self.low, self.high]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What is drawn again together.
+
+    Attributes:
+        by: single queries, groups of them, or stretches of a drive.
+        queries: how many there are.
+        unit_of: `[queries]` the group of each query, or its place along the drive.
+        length: queries in a stretch; 1 where they are not drawn by stretches.
+    """
+
+    by: By
+    queries: int
+    unit_of: Int64[np.ndarray, " queries"]
+    length: int = 1
+
+    @property
+    def units(self) -> int:
+        """How many things that do not hang together there are: a share of them is drawn each time."""
+        if self.by == "group":
+            return int(self.unit_of.max()) + 1
+        return max(1, round(self.queries / self.length))
+
+    def as_dict(self) -> dict[str, Any]:
+        """What a reader of the figures should know of it."""
+        return {"by": self.by, "units": self.units, "length": self.length, "level": LEVEL}
+
+    def weights(self, *, seed: int, times: int = TIMES) -> Iterator[Weights]:
+        """How often each query is drawn, draw after draw, some draws `[n, queries]` at a time."""
+        rng = np.random.default_rng(seed)
+        starts = self.queries if self.by == "block" else self.units
+        step = max(1, _NUMBERS // max(starts, self.queries))
+        for low in range(0, times, step):
+            count = min(step, times - low)
+            drawn = rng.integers(0, starts, (count, self.units))
+            drawn += starts * np.arange(count)[:, None]
+            counts = np.bincount(drawn.ravel(), minlength=count * starts).reshape(count, starts)
+            yield self._spread(counts.astype(np.float64))
+
+    def _spread(self, counts: Float64[np.ndarray, "draws starts"]) -> Weights:
+        if self.by == "block":  # a stretch goes round the end of the drive to its beginning
+            length = min(self.length, self.queries)
+            round_ = np.concatenate([counts[:, self.queries - length :], counts], axis=1)
+            sums = np.cumsum(round_, axis=1)
+            counts = sums[:, length:] - sums[:, : self.queries]
+        return counts[:, self.unit_of]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Which queries of a set hang together; a measure of some of them draws those by it.
+
+    Attributes:
+        by: single queries, groups of them, or stretches of a drive.
+        groups: the group of each query, where they are drawn by groups.
+        order: the frame number of each query, where they are drawn by stretches.
+    """
+
+    by: By
+    groups: tuple[str, ...] = ()
+    order: tuple[int, ...] = ()
+
+    def plan(self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]) -> Plan:
+        """How to draw some of the queries again, given what each of them came to."""
+        rows = those.tolist()
+        if self.by == "group" and len({self.groups[row] for row in rows}) > 1:
+            return by_group([self.groups[row] for row in rows])
+        if self.by == "block":
+            return by_block([self.order[row] for row in rows], values.tolist())
+        return by_query(len(rows))
+
+
+def by_query(queries: int) -> Plan:
+    """Every query by itself."""
+    return Plan("query", queries, np.arange(queries))
+
+
+def by_group(groups: Sequence[str]) -> Plan:
+    """Queries of one group together: `groups` names each query's."""
+    _, unit_of = np.unique(np.asarray(groups), return_inverse=True)
+    return Plan("group", len(groups), unit_of.astype(np.int64).reshape(-1))
+
+
+def by_block(order: Sequence[int], values: Sequence[float]) -> Plan:
+    """Neighbouring frames of one drive together, in stretches of `block_length`.
+
+    Args:
+        order: the frame number of each query.
+        values: what each query came to, in the same order.
+    """
+    along = np.argsort(np.asarray(order), kind="stable")
+    place = np.empty(len(along), dtype=np.int64)
+    place[along] = np.arange(len(along))
+    return Plan("block", len(along), place, block_length(np.asarray(values, dtype=np.float64)[along]))
+
+
+def block_length(series: Float64[np.ndarray, " frames"]) -> int:
+    """How many neighbouring frames are drawn together.
+
+    Politis and White's (2004, with Patton's correction of 2009) length for the circular block bootstrap, from the
+    autocorrelation of what the frames came to; no shorter than the cube root of their number, the order of length
+    that is best for any short memory (Hall, Horowitz and Jing 1995), since a drive with few errors shows too little
+    of its memory to be measured. That length makes the spread's mean square error least, and its error is to be
+    too small; an interval must rather not be too short, so twice the length is taken, at most a sixth of the drive.
+    """
+    count = len(series)
+    length = max(math.cbrt(count), _memory(series))
+    return max(1, min(2 * math.ceil(length), count // 6))
+
+
+def _memory(series: Float64[np.ndarray, " frames"]) -> float:
+    """Politis and White's length (their section 3.2); 0 where the series does not vary."""
+    count = len(series)
+    centred = series - series.mean()
+    variance = float(centred @ centred) / count
+    if variance < 1e-12:
+        return 0.0
+    lags = min(count - 1, math.ceil(math.sqrt(count)) + max(5, math.ceil(math.log10(count))))
+    covariance = np.array([float(centred[: count - lag] @ centred[lag:]) / count for lag in range(lags + 1)])
+    reach = min(2 * _last_lag(covariance / variance, count), lags)
+    lag = np.arange(1, reach + 1)
+    tapered = np.clip(2 * (1 - lag / max(reach, 1)), 0, 1) * covariance[1 : reach + 1]  # flat, then falling
+    long_run = variance + 2 * float(tapered.sum())
+    slope = 2 * float((lag * tapered).sum())
+    return float((1.5 * slope**2 / long_run**2 * count) ** (1 / 3)) if long_run > 0 else 0.0
+
+
+def _last_lag(correlation: Float64[np.ndarray, " lags"], count: int) -> int:
+    """The last lag before a run of insignificant ones; at least 1."""
+    run = max(5, math.ceil(math.log10(count)))
+    small = np.abs(correlation[1:]) < 2 * math.sqrt(math.log10(max(count, 2)) / count)
+    for lag in range(len(small) - run + 1):
+        if small[lag : lag + run].all():
+            return max(1, lag)
+    return max(1, len(small))
+
+
+def share_interval(
+    share: float, draws: Float64[np.ndarray, " draws"], *, units: int, counted: int
+) -> Interval:
+    """The interval of a share, in percent.
+
+    Args:
+        share: what was found, in percent.
+        draws: the same of each draw.
+        units: how many things that do not hang together were drawn from.
+        counted: how many queries the share is of: it is never taken for surer than that many independent ones.
+    """
+    part = share / 100
+    # Drawn from themselves, units vary too little.
+    spread = float(np.var(draws / 100)) * units / max(1, units - 1)
+    worth = part * (1 - part) / spread if spread > 1e-15 else math.inf
+    if part in (0, 1):  # nothing varies, so nothing tells how far queries hang together: take it that they do
+        worth = float(units)
+    worth = min(max(worth, 1.0), counted)
+    wide = student(units - 1) ** 2
+    middle = (part + wide / (2 * worth)) / (1 + wide / worth)
+    half = math.sqrt(wide * (part * (1 - part) / worth + wide / (4 * worth**2))) / (1 + wide / worth)
+    low, high = 0.0 if part == 0 else middle - half, 1.0 if part == 1 else middle + half
+    return Interval(100 * max(0.0, low), 100 * min(1.0, high))
+
+
+def nested(intervals: dict[int, Interval]) -> dict[int, Interval]:
+    """Intervals of shares that cannot fall from one key to the next, so that neither can their ends.
+
+    Where the truth of R@1 lies above its lower end, that of R@5 does too: worth knowing where every query has a right
+    one among five and nothing else tells how far neighbours hang together.
+    """
+    keys = sorted(intervals)
+    lows = np.maximum.accumulate([intervals[key].low for key in keys]).tolist()
+    highs = np.minimum.accumulate([intervals[key].high for key in keys[::-1]]).tolist()[::-1]
+    ends = {key: Interval(low, max(low, high)) for key, low, high in zip(keys, lows, highs, strict=True)}
+    return {key: ends[key] for key in intervals}
+
+
+def percentile_interval(draws: Float64[np.ndarray, " draws"]) -> Interval:
+    """The middle 95 % of the draws."""
+    ordered, last = np.sort(draws), len(draws) - 1  # nothing is interpolated: an end may be infinite
+    low, high = math.floor(last * (1 - LEVEL) / 2), math.ceil(last * (1 + LEVEL) / 2)
+    return Interval(float(ordered[low]), float(ordered[high]))
+
+
+def student(freedom: int) -> float:
+    """Student's t that 95 % lie within, by Cornish and Fisher's expansion (Hill 1970): off by 1 % from 3 degrees on."""
+    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
+    v = max(freedom, 1)
+    terms = (
+        z,
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return math.fsum(term / v**power for power, term in enumerate(terms))

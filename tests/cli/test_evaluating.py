@@ -1,0 +1,171 @@
+"""`salad evaluate` on named protocols, other methods' outputs, and files beside its figures; two results compared."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from salad.cli import COMMANDS, evaluating
+from salad.cli.verdicts import compare_results, leaks_told
+from salad.errors import BenchmarkError
+from salad.evaluation import read_result
+from salad.evaluation.leaks import Leak
+from salad.photos import save_jpeg
+
+Cli = Callable[..., Any]
+
+
+@pytest.fixture(autouse=True)
+def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(COMMANDS, "evaluate", evaluating.Evaluate)
+
+
+@pytest.fixture
+def sides(photos: Any) -> list[Any]:
+    return ["evaluate", "--references", photos.references, "--queries", photos.queries]
+
+
+def sentence(ran: Any) -> str:
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.err.startswith("salad: ")
+    assert ran.err.count("\n") == 1
+    return str(ran.err)
+
+
+def test_everything_at_once(cli: Cli, asked: Any, sides: list[Any], tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("result.json", "result.csv")}
+    ran = cli(
+        *(*sides, "--frames", 0, "--leaks", "--cache", tmp_path / "cache", "--seed", 3),
+        *("--save", files["result.json"], "--csv", files["result.csv"]),
+    )
+    assert ran.code == 0
+    for told in (
+        "R@1",
+        "100.0 %",
+        "area under precision-recall",
+        "recall at 100 % precision",
+        "in both sides",
+    ):
+        assert told in ran.out
+    result = read_result(files["result.json"])
+    assert result.recall[1] == 100.0
+    assert result.drawn["seed"] == 3
+    assert len(files["result.csv"].read_text(encoding="utf-8").splitlines()) == 7
+    again = cli(*sides, "--frames", 0, "--cache", tmp_path / "cache", "--format", "json")
+    assert again.json()["recall"] == {"1": 100.0, "5": 100.0, "10": 100.0, "20": 100.0}
+    assert list((tmp_path / "cache").rglob("*.safetensors"))
+
+
+def test_a_protocol_by_its_name(cli: Cli, asked: Any, sides: list[Any], photos: Any) -> None:
+    ran = cli(*sides, "--protocol", "frames", "--frames", 0, "--format", "json")
+    assert (ran.code, ran.json()["protocol"]) == (0, "frames ±0")
+    assert "'no-such'" in sentence(cli(*sides, "--protocol", "no-such"))
+    assert "--data" in sentence(cli("evaluate", "--protocol", "msls-val-740"))
+    told = sentence(cli("evaluate", "--protocol", "msls-val-740", "--data", photos.references))
+    assert "msls-val-740" in told
+
+
+def test_descriptors_and_rankings_of_another_method(
+    cli: Cli, sides: list[Any], tmp_path: Path, asked: Any
+) -> None:
+    for name in ("refs", "mine"):
+        np.save(tmp_path / f"{name}.npy", np.eye(6, dtype=np.float32))
+    described = ("--descriptors", tmp_path / "refs.npy", tmp_path / "mine.npy")
+    ran = cli(*sides, "--frames", 0, *described, "--format", "json")
+    told = ran.json()
+    assert (told["model"], told["recall"]["1"], asked) == ("mine", 100.0, [])
+    assert "length 1" in ran.err
+    ran = cli(*sides, "--frames", 0, *described, "--called", "Peer", "--format", "json")
+    assert ran.json()["model"] == "Peer"
+    spaced = cli(*sides, "--frames", 0, *described, "--save-rankings", tmp_path / "ranked.txt")
+    assert "has a space" in sentence(spaced)  # as people's names for photos do
+
+
+def test_the_order_that_descriptors_have_to_be_in(
+    cli: Cli, sides: list[Any], photos: Any, tmp_path: Path, asked: Any
+) -> None:
+    files = tmp_path / "refs.txt", tmp_path / "queries.txt"
+    ran = cli(*sides, "--frames", 0, "--list-photos", *files)
+    assert (ran.code, ran.out, asked) == (0, "", [])
+    for path, side in zip(files, (photos.reference, photos.query), strict=True):
+        assert path.read_text(encoding="utf-8").splitlines() == sorted(map(str, side))
+
+
+def test_rankings_come_and_go(cli: Cli, asked: Any, tmp_path: Path) -> None:
+    for side in ("database", "queries"):
+        (tmp_path / side).mkdir()
+        for number in range(3):
+            pixels = np.random.default_rng(number).integers(0, 256, (32, 32, 3), dtype=np.uint8)
+            save_jpeg(pixels, tmp_path / side / f"{number}.jpg")
+    sides = ("--references", tmp_path / "database", "--queries", tmp_path / "queries", "--frames", 0)
+    ran = cli("evaluate", *sides, "--save-rankings", tmp_path / "ranked.txt", "--format", "json")
+    assert ran.code == 0
+    asked.clear()
+    again = cli("evaluate", *sides, "--rankings", tmp_path / "ranked.txt", "--format", "json", "--leaks")
+    told = again.json()
+    assert (told["model"], told["recall"], asked) == ("ranked", ran.json()["recall"], [])
+    assert [leak["kind"] for leak in told["leaks"]] == ["file"] * 3
+    assert again.err.count("is the same file as") == 3
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--descriptors", "a.npy", "b.npy", "--rankings", "c.txt"], "one at a time"),
+        (["--rankings", "c.txt", "--cache", "d"], "--cache"),
+        (["--save", "no/such/place.json"], "name a file in a folder"),
+        (["--rankings", "c.txt"], "c.txt"),
+        (["--protocol", "frames", "--data", "x"], "--data"),
+    ],
+)
+def test_refused_before_any_work(cli: Cli, asked: Any, sides: list[Any], more: list[Any], named: str) -> None:
+    assert named in sentence(cli(*sides, "--frames", 0, *more))
+    assert asked == []
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        (["--references", "x"], "--queries is missing"),
+        (["--queries", "x"], "--references is missing"),
+        (["--data", "x"], "--protocol"),
+    ],
+)
+def test_a_set_has_to_be_named(cli: Cli, given: list[Any], named: str) -> None:
+    assert named in sentence(cli("evaluate", *given))
+
+
+def test_two_results_compared(
+    cli: Cli, asked: Any, sides: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    right = np.eye(6, dtype=np.float32)
+    for name, rows in (("r", right), ("good", right), ("bad", right[::-1].copy())):
+        np.save(tmp_path / f"{name}.npy", rows)
+    for name in ("good", "bad"):
+        saved = ("--save", tmp_path / f"{name}.json")
+        cli(*sides, "--frames", 0, "--descriptors", tmp_path / "r.npy", tmp_path / f"{name}.npy", *saved)
+    assert compare_results(tmp_path / "bad.json", tmp_path / "good.json") == 0
+    told = capsys.readouterr().out
+    assert "+100.0" in told
+    assert told.count("won: ") == 6
+    assert compare_results(tmp_path / "good.json", tmp_path / "bad.json", form="json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["first"], shown["other"], len(shown["recall"]["1"]["lost"])) == ("good", "bad", 6)
+    with pytest.raises(BenchmarkError, match="no JSON"):
+        compare_results(tmp_path / "good.json", tmp_path / "r.npy")
+
+
+def test_many_leaks_are_not_all_told(cli: Cli, asked: Any, sides: list[Any], tmp_path: Path) -> None:
+    cli(*sides, "--frames", 0, "--save", tmp_path / "r.json")
+    result = read_result(tmp_path / "r.json")
+    leaks = tuple(Leak(0, row, "q", f"r{row}", "picture") for row in range(30))
+    told = leaks_told(replace(result, leaks=leaks))
+    assert (len(told), told[0], told[-1]) == (
+        *(21, "q is the same picture as r0", "and 10 more photos that are in both sides"),
+    )
