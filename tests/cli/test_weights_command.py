@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import urllib.error
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +18,10 @@ import torch
 from safetensors.torch import load_file
 
 import salad
+from salad.config import LiteConfig, ModelConfig, Preprocessing, SceneConfig, VladConfig
 from salad.model import zoo
+from salad.model.describer import build
+from salad.model.weights import write_folder
 
 
 @pytest.fixture(autouse=True)
@@ -156,3 +160,55 @@ def test_convert_refuses_what_is_no_file_of_weights(cli: Any, tmp_path: Path, co
     assert (ran.code, ran.out, ran.err.count("\n")) == (2, "", 1)
     assert "file.ckpt" in ran.err
     assert not (tmp_path / "to").exists()
+
+
+# --- vocabulary ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def street(cli: Any, photos: Any, tmp_path: Path) -> tuple[Path, Path]:
+    """An index of photos, and the folder of the tiny model it was made with."""
+    config = ModelConfig("tiny", LiteConfig(blocks=1), SceneConfig(16), Preprocessing(24, 24))
+    model, city = write_folder(build(config), tmp_path / "tiny"), tmp_path / "city.index"
+    kept = shutil.copytree(photos.references, tmp_path / "photos")
+    assert cli("index", kept, "--to", city, "--model", model).code == 0
+    return city, model
+
+
+def test_a_vocabulary_from_an_index_is_a_model(cli: Any, street: tuple[Path, Path], tmp_path: Path) -> None:
+    (city, model), to = street, tmp_path / "anyloc"
+    (tmp_path / "photos" / "me@home 3.jpg").unlink()
+    ran = cli("weights", "vocabulary", "--index", city, "--model", model, "--to", to, "--clusters", 5)
+    assert (ran.code, ran.out) == (0, f"{to}\n")
+    assert ran.err.count("\n") == 1
+    assert "me@home 3.jpg" in ran.err
+    made = salad.load(to)
+    assert made.config.aggregator == VladConfig(16, clusters=5)
+    assert made.name == "tiny-vlad"
+    rows = made.describe(sorted((tmp_path / "photos").iterdir()))
+    assert rows.shape == (5, 80)
+    np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-5)
+    assert cli("index", tmp_path / "photos", "--to", tmp_path / "again.index", "--model", to).code == 0
+
+
+def test_a_vocabulary_goes_where_nothing_is(cli: Any, street: tuple[Path, Path], tmp_path: Path) -> None:
+    city, model = street
+    before = (model / "config.json").read_bytes()
+    ran = cli("weights", "vocabulary", "--index", city, "--model", model, "--to", model)
+    assert (ran.code, ran.out) == (2, "")
+    assert "tiny exists already; choose another folder" in ran.err
+    assert (model / "config.json").read_bytes() == before
+    ran = cli(
+        "weights", "vocabulary", "--index", city, "--model", model, "--to", tmp_path / "a", "--clusters", 0
+    )
+    assert ran.code == 2
+    assert "--clusters 0 is too few" in ran.err
+
+
+def test_a_vocabulary_of_a_model_nobody_knows_asks_for_it(
+    cli: Any, street: tuple[Path, Path], tmp_path: Path
+) -> None:
+    ran = cli("weights", "vocabulary", "--index", street[0], "--to", tmp_path / "a")
+    assert ran.code == 2
+    assert "was made with 'tiny', which is not in the zoo" in ran.err
+    assert not (tmp_path / "a").exists()

@@ -11,7 +11,19 @@ import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes
 
 from salad._version import __version__
-from salad.cli import indexing, locating, shell, studies, tending, weights
+from salad.cli import (
+    comparing,
+    datasets,
+    evaluating,
+    indexing,
+    locating,
+    placing,
+    shell,
+    showing,
+    tending,
+    training,
+    weights,
+)
 from salad.errors import SaladError
 
 COMMANDS: dict[str, Any] = {
@@ -23,10 +35,13 @@ COMMANDS: dict[str, Any] = {
     "compact": tending.Compact,
     "export": tending.Export,
     "merge": tending.Merge,
-    "evaluate": studies.Evaluate,
+    "evaluate": evaluating.Evaluate,
+    "datasets": datasets.Datasets,
     "weights": weights.Weights,
-    "train": studies.Train,
-    "demo": studies.Demo,
+    "places": placing.Places,
+    "train": training.Train,
+    "compare": comparing.Compare,
+    "demo": showing.Demo,
 }
 
 
@@ -49,7 +64,7 @@ def run(arguments: Sequence[str]) -> int:
         return shell.BAD_INPUT
     except KeyboardInterrupt:
         shell.say(
-            "salad: interrupted; index, train and weights fetch go on where they stopped when run again"
+            "salad: interrupted; index, train, compare and weights fetch go on where they stopped when run again"
         )
         return shell.INTERRUPTED
     except BrokenPipeError:  # whoever read our output has seen enough

@@ -1,0 +1,138 @@
+"""The grids on the photos beside the checkout, and the page that tells what came of them.
+
+    python benchmarks/results.py run [GRID ...] [--to runs/grids] [-- OPTIONS OF salad compare]
+    python benchmarks/results.py write [GRID ...] [--from runs/grids] [--page docs/results.md]
+
+`run` is `salad compare` with every evaluation set that is there, one folder a grid; interrupt it as you like, it
+goes on. `write` makes the page and its pictures from the folders alone: no figure on it is typed by hand, and what
+there is no result of stands there as such.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from salad.cli.beside import write_tables
+from salad.errors import SaladError
+from salad.train.grids import GRIDS, rows
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared" / "data"
+COMMAND = "command.json"
+# As benchmarks/evaluate_shared.py reads them; `toy` is by eye and too small to tell rows apart.
+SETS = (
+    ("gardens-point", "day_left", "day_right", "frames:2"),
+    ("essex", "database", "queries", "truth:gt.csv"),
+    ("corridor", "database", "queries", "truth:gt.csv"),
+    ("sfxl-30", "images/test/database", "images/test/queries", "radius:25"),
+    ("nordland64", "database", "queries", "frames:1"),
+)
+HEADINGS = {
+    "aggregators": "One backbone, other aggregators",
+    "blocks": "How much of the backbone is trained",
+    "parts": "SALAD with parts left out or exchanged",
+    "sizes": "Smaller and larger heads",
+}
+HEAD = """# Results
+
+Written by `python benchmarks/results.py write` from the folders of the runs; do not edit it by hand.
+
+Every row of a table is trained with the same budget, the same photos and the same seeds, and the best weights on
+places held out of the training photos are kept; no evaluation photo chooses anything. The budget is small and stands
+under each table, so these are small models early in their training; what stands beside them in the columns `paper:` was
+measured elsewhere, on other data, with other backbones. Read the order of rows, and with the spread in mind: sets of 60
+to 210 queries (nordland64: 1,479) move by points of their own. Viewpoint changes in gardens-point, essex and corridor;
+in sfxl-30 and nordland64 the camera looks the same way again.
+"""
+
+
+def command(grid: str, to: Path, more: Sequence[str]) -> list[str]:
+    """`salad compare` with all sets that are there."""
+    options = ["compare", "--grid", grid, "--to", str(to), "--data", str(SHARED / "train")]
+    for name, references, queries, rule in SETS:
+        folder = SHARED / "eval" / name
+        if not folder.is_dir():
+            print(f"{name}: not at {folder}, passed over", file=sys.stderr)
+            continue
+        kind, _, value = rule.partition(":")
+        right = f"truth:{folder / value}" if kind == "truth" else rule
+        options += ["--benchmark", name, str(folder / references), str(folder / queries), right]
+    return [*options, *more]
+
+
+def run(grids: Sequence[str], to: Path, more: Sequence[str]) -> None:
+    """Run each grid; the command is kept beside its results."""
+    for grid in grids:
+        folder = to / grid
+        options = command(grid, folder, more)
+        folder.mkdir(parents=True, exist_ok=True)
+        shown = [option.replace(f"{ROOT.parent}/", "../") for option in options]  # from the checkout
+        (folder / COMMAND).write_text(json.dumps(shown) + "\n", encoding="utf-8")
+        code = subprocess.run([sys.executable, "-m", "salad.cli", *options], check=False).returncode
+        if code:
+            raise SystemExit(code)
+
+
+def page(grids: Sequence[str], runs: Path, pictures: Path) -> str:
+    """The page's text; each grid's picture goes into `pictures`."""
+    parts = [HEAD]
+    for grid in grids:
+        parts.append(f"## {HEADINGS[grid]}\n")
+        folder = runs / grid
+        try:
+            table = write_tables(folder, grid, rows(grid))
+        except SaladError as error:
+            print(f"{grid}: {error}", file=sys.stderr)
+            parts.append("There is no result of this grid yet.\n")
+            continue
+        picture = f"results-{grid}.svg"
+        shutil.copy(folder / f"{grid}.svg", pictures / picture)
+        parts.append(f"![R@1 of every row, ours and the paper's]({picture})\n")
+        parts.append(f"{table}\n")
+        parts += _repeated(folder, grid)
+    return "\n".join(parts)
+
+
+def _repeated(folder: Path, grid: str) -> list[str]:
+    """What to type to have the same, as far as it is known."""
+    known = folder / COMMAND
+    if not known.is_file():
+        return []
+    options = shlex.join(["salad", *json.loads(known.read_text(encoding="utf-8"))])
+    options = options.replace(" --benchmark", " \\\n  --benchmark")
+    return [f"`python benchmarks/results.py run {grid}`, which is\n\n```\n{options}\n```\n"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=("run", "write"))
+    parser.add_argument("grids", nargs="*", metavar="GRID", help=f"of {', '.join(GRIDS)}; all by default")
+    parser.add_argument("--to", "--from", dest="runs", type=Path, default=ROOT / "runs" / "grids")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "results.md")
+    before, more = sys.argv[1:], []
+    if "--" in before:
+        before, more = before[: before.index("--")], before[before.index("--") + 1 :]
+    asked = parser.parse_args(before)
+    grids = asked.grids or list(GRIDS)
+    unknown = set(grids) - set(GRIDS)
+    if unknown:
+        parser.error(f"there is no grid {unknown.pop()!r}: choose among {', '.join(GRIDS)}")
+    if asked.what == "run":
+        run(grids, asked.runs, more)
+    else:
+        text = page(grids, asked.runs, asked.page.parent)
+        asked.page.write_text(text, encoding="utf-8")
+        print(asked.page)
+
+
+if __name__ == "__main__":
+    main()
