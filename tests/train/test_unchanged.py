@@ -97,16 +97,13 @@ def test_the_weights_are_those_of_the_plain_loop(
 
 def test_the_shipped_models_recipe_is_the_plain_one() -> None:
     recipe = PRESETS["salad-lite"].recipe
-    assert recipe == Recipe()
-    told = {
-        name: getattr(recipe, name) for name in ("augment", "sampler", "mirror", "clip", "at_once", "size")
-    }
+    assert recipe == Recipe(size=224, full_steps=100)
+    told = {name: getattr(recipe, name) for name in ("augment", "sampler", "mirror", "clip", "at_once")}
     assert told == {
         "augment": "lite",
         "sampler": "mixed",
         "mirror": True,
         "clip": 1.0,
         "at_once": None,
-        "size": None,
     }
     assert (recipe.cache_versions, recipe.decay_over, recipe.epochs) == (0, None, None)
