@@ -120,12 +120,62 @@ def test_rankings_come_and_go(cli: Cli, asked: Any, tmp_path: Path) -> None:
         (["--descriptors", "a.npy", "b.npy", "--rankings", "c.txt"], "one at a time"),
         (["--rankings", "c.txt", "--cache", "d"], "--cache"),
         (["--save", "no/such/place.json"], "name a file in a folder"),
+        (["--report", "no/such/page.html"], "name a file in a folder"),
+        (["--heat"], "--result"),
         (["--rankings", "c.txt"], "c.txt"),
         (["--protocol", "frames", "--data", "x"], "--data"),
     ],
 )
 def test_refused_before_any_work(cli: Cli, asked: Any, sides: list[Any], more: list[Any], named: str) -> None:
     assert named in sentence(cli(*sides, "--frames", 0, *more))
+    assert asked == []
+
+
+def test_a_page_of_a_new_result_and_of_a_saved_one(
+    cli: Cli, asked: Any, sides: list[Any], photos: Any, tmp_path: Path
+) -> None:
+    saved, pages = tmp_path / "r.json", [tmp_path / f"{name}.html" for name in ("new", "old", "heat")]
+    new = cli(*sides, "--frames", 0, "--save", saved, "--report", pages[0], "--format", "json")
+    assert (new.code, f"written to {pages[0]}" in new.err) == (0, True)
+    asked.clear()
+    old = cli("evaluate", "--result", saved, "--report", pages[1], "--format", "json")
+    assert (old.json(), asked) == (new.json(), [])
+    assert pages[1].read_text(encoding="utf-8") == pages[0].read_text(encoding="utf-8")
+    assert "R@1" in pages[1].read_text(encoding="utf-8")
+    hot = cli("evaluate", "--result", saved, "--report", pages[2], "--heat", "--csv", tmp_path / "r.csv")
+    assert (hot.code, asked, (tmp_path / "r.csv").is_file()) == (0, ["salad-lite"], True)
+
+
+def test_photos_of_a_saved_result_that_lie_elsewhere_now(
+    cli: Cli, asked: Any, sides: list[Any], tmp_path: Path, photos: Any
+) -> None:
+    np.save(tmp_path / "r.npy", np.eye(6, dtype=np.float32))
+    np.save(tmp_path / "q.npy", np.eye(6, dtype=np.float32)[::-1].copy())  # every answer is wrong
+    saved, page = tmp_path / "r.json", tmp_path / "page.html"
+    descriptors = ("--descriptors", tmp_path / "r.npy", tmp_path / "q.npy")
+    cli(*sides, "--frames", 0, *descriptors, "--save", saved)
+    ran = cli("evaluate", "--result", saved, "--references", tmp_path, "--report", page)
+    assert (ran.code, "6 of 12 photos to show cannot be opened" in ran.err) == (0, True)
+    ran = cli("evaluate", "--result", saved, "--references", photos.references, "--report", page)
+    assert (ran.code, "cannot be opened" in ran.err) == (0, False)
+    told = sentence(cli("evaluate", "--result", saved, "--report", page, "--heat"))
+    assert "no model of ours" in told
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--frames", 2], "--frames"),
+        (["--leaks"], "--leaks"),
+        (["--any-size"], "--any-size"),
+        (["--heat"], "--report"),
+        ([], "no such file"),
+    ],
+)
+def test_a_saved_result_is_not_judged_again(
+    cli: Cli, asked: Any, tmp_path: Path, more: list[Any], named: str
+) -> None:
+    assert named in sentence(cli("evaluate", "--result", tmp_path / "r.json", *more)).lower()
     assert asked == []
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +16,7 @@ from salad.errors import BenchmarkError
 if TYPE_CHECKING:
     from salad.data.benchmark import Benchmark
     from salad.evaluation import Result
+    from salad.model.describer import Describes
 
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Text = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
@@ -27,6 +28,11 @@ TwoFiles = Annotated[
 TwoNames = Annotated[
     tuple[Path, Path] | None, arg(metavar="REFERENCES.txt QUERIES.txt", help_behavior_hint="")
 ]
+
+_JUDGING = (  # what decides how a set is judged
+    *("truth", "frames", "radius", "protocol", "data", "any_size"),
+    *("descriptors", "rankings", "list_photos", "called", "cache", "leaks"),
+)
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,14 @@ class Evaluate:
     """Keep descriptors here, and describe no photo that is here already; without it none are kept."""
     leaks: bool = False
     """List photos that are references and queries at once."""
+    result: FilePath = None
+    """Judge nothing: take the result that --save wrote. --references and --queries then say where photos are now."""
     save: FilePath = None
     """Write the whole result as JSON, for `salad compare`."""
+    report: FilePath = None
+    """Write a page of it: figures, curves, a map of right and wrong, the mistakes with their photos."""
+    heat: bool = False
+    """With --result: let --model look at the page's photos again, to show what its dustbin took."""
     csv: FilePath = None
     """Write a table with one line a query."""
     save_rankings: FilePath = None
@@ -86,13 +98,24 @@ class Evaluate:
         from salad.evaluation.measuring import with_leaks
 
         self._check()
+        if self.result is not None:
+            return self._shown(*self._saved(self.result))
         benchmark = self._benchmark()
         if self.list_photos is not None:
             return self._listed(benchmark, *self.list_photos)
-        result = self._judged(benchmark)
+        result, model = self._judged(benchmark)
         if self.leaks:
             result = with_leaks(result, benchmark)
+        return self._shown(result, model)
+
+    def _shown(self, result: Result, model: Describes | None) -> int:
         self._write(result)
+        if self.report is not None:
+            from salad.report import write_report
+
+            for told in write_report(result, self.report, model):
+                shell.say(told)
+            shell.say(f"written to {self.report}")
         for note in (*result.notes, *verdicts.leaks_told(result)):
             shell.say(note)
         if self.format == "json":
@@ -108,7 +131,12 @@ class Evaluate:
             raise BenchmarkError("--descriptors and --rankings are two methods: judge one at a time")
         if self.cache is not None and (self.descriptors is not None or self.rankings is not None):
             raise BenchmarkError("--cache keeps what a model describes, and no model is asked: leave it away")
-        for path in (self.save, self.csv, self.save_rankings, *(self.list_photos or ())):
+        if self.heat and (self.result is None or self.report is None):
+            raise BenchmarkError(
+                "--heat is for a page of a saved result: give it with --result and --report (a page made while judging "
+                "a model has its heat maps already)"
+            )
+        for path in (self.save, self.report, self.csv, self.save_rankings, *(self.list_photos or ())):
             if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
                 raise BenchmarkError(f"{path} cannot be written: name a file in a folder that is there")
 
@@ -146,22 +174,49 @@ class Evaluate:
             any_size=self.any_size,
         )
 
-    def _judged(self, benchmark: Benchmark) -> Result:
+    def _saved(self, path: Path) -> tuple[Result, Describes | None]:
+        """A result that was judged before, and the model it is of, where its heat maps are wanted."""
+        from salad.evaluation import read_result
+
+        for name in _JUDGING:
+            if getattr(self, name) not in (None, False):
+                option = name.replace("_", "-")
+                raise BenchmarkError(
+                    f"{path} is judged already, so --{option} changes nothing: leave it away"
+                )
+        result = read_result(path)
+        references, queries = result.folders
+        result = replace(result, folders=(str(self.references or references), str(self.queries or queries)))
+        return result, self._same(result) if self.heat else None
+
+    def _same(self, result: Result) -> Describes:
+        from salad.model.weights import load
+
+        model = load(self.model, device=self.device, heads=self.heads)
+        if model.fingerprint != result.fingerprint:
+            raise BenchmarkError(
+                f"the result is of {result.model} ({result.fingerprint or 'no model of ours'}), and {model.name} "
+                f"({model.fingerprint}) would show what another threw away: name its own with --model, or leave "
+                "--heat away"
+            )
+        return model
+
+    def _judged(self, benchmark: Benchmark) -> tuple[Result, Describes | None]:
         from salad.evaluation import Terms, evaluate, evaluate_descriptors, evaluate_rankings
 
         terms = Terms(seed=self.seed)
         if self.descriptors is not None:
             name = self.called or self.descriptors[1].stem
-            return evaluate_descriptors(benchmark, *self.descriptors, name=name, terms=terms)
+            return evaluate_descriptors(benchmark, *self.descriptors, name=name, terms=terms), None
         if self.rankings is not None:
-            return evaluate_rankings(
-                benchmark, self.rankings, name=self.called or self.rankings.stem, terms=terms
-            )
+            name = self.called or self.rankings.stem
+            return evaluate_rankings(benchmark, self.rankings, name=name, terms=terms), None
         from salad.model.weights import load
 
         model = load(self.model, device=self.device, heads=self.heads)
         with shell.progress("describing") as bar:
-            return evaluate(benchmark, model, cache=self.cache, seed=self.seed, progress=bar)
+            result = evaluate(benchmark, model, cache=self.cache, seed=self.seed, progress=bar)
+        return result, model
 
     def _listed(self, benchmark: Benchmark, references: Path, queries: Path) -> int:
         from salad.evaluation.outside import write_photos
