@@ -11,19 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salad.cli import COMMANDS, evaluating
 from salad.cli.verdicts import compare_results, leaks_told
 from salad.errors import BenchmarkError
 from salad.evaluation import read_result
 from salad.evaluation.leaks import Leak
-from salad.photos import save_jpeg
+from salad.photos import read_photo, save_jpeg
 
 Cli = Callable[..., Any]
-
-
-@pytest.fixture(autouse=True)
-def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(COMMANDS, "evaluate", evaluating.Evaluate)
 
 
 @pytest.fixture
@@ -219,3 +213,48 @@ def test_many_leaks_are_not_all_told(cli: Cli, asked: Any, sides: list[Any], tmp
     assert (len(told), told[0], told[-1]) == (
         *(21, "q is the same picture as r0", "and 10 more photos that are in both sides"),
     )
+
+
+@pytest.fixture
+def table(photos: Any, tmp_path: Path) -> Path:
+    """Where the queries were taken, all of them looking north."""
+    known = [read_photo(path).where for path in photos.reference]
+    rows = [
+        f"{path},{where.lat},{where.lon},0" for path, where in zip(photos.query, known, strict=True) if where
+    ]
+    path = tmp_path / "places.csv"
+    path.write_text("path,lat,lon,heading\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("protocol", [(), ("--protocol", "folder")])
+def test_positions_from_a_table_and_the_way_a_photo_looks(
+    cli: Cli, asked: Any, sides: list[Any], table: Path, protocol: tuple[str, ...]
+) -> None:
+    words = (*sides, *protocol, "--radius", 25, "--table", table, "--format", "json")
+    assert cli(*words).json()["unanswerable"] == 0
+    told = cli(*words, "--heading", 45).json()
+    assert told["unanswerable"] == 4  # references look 0, 30, 60 ... degrees
+    assert "45" in told["protocol"]
+
+
+def test_a_misspelt_row_of_the_table_is_noticed(cli: Cli, asked: Any, sides: list[Any], table: Path) -> None:
+    with table.open("a", encoding="utf-8") as lines:
+        lines.write("nobody.jpg,1,2,3\n")
+    for protocol in ((), ("--protocol", "folder")):
+        assert "nobody.jpg" in sentence(cli(*sides, *protocol, "--radius", 25, "--table", table))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--frames", 0, "--heading", 45), "--heading says more about a radius, and there is none"),
+        (("--frames", 0, "--table", "a.csv"), "--table says more about a radius, and there is none"),
+        (("--frames", 0, "--layout", "msls"), "--layout msls is of a published set"),
+        (("--protocol", "frames", "--frames", 0, "--layout", "msls"), "no layout msls"),
+    ],
+)
+def test_an_option_that_would_change_nothing_is_refused(
+    cli: Cli, sides: list[Any], words: tuple[Any, ...], said: str
+) -> None:
+    assert said in sentence(cli(*sides, *words))

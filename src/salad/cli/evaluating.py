@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from salad.cli import shell, verdicts
 from salad.cli.arguments import SHIPPED, Form, Metres, Number, Table
-from salad.cli.judging import benchmark_of
+from salad.cli.judging import benchmark_of, check_positions, positions_in
 from salad.errors import BenchmarkError
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Text = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
+Degrees = Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")]
 FilePath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 TwoFiles = Annotated[
     tuple[Path, Path] | None, arg(metavar="REFERENCES.npy QUERIES.npy", help_behavior_hint="")
@@ -30,7 +31,7 @@ TwoNames = Annotated[
 ]
 
 _JUDGING = (  # what decides how a set is judged
-    *("truth", "frames", "radius", "protocol", "data", "any_size"),
+    *("truth", "frames", "radius", "heading", "table", "protocol", "data", "layout", "any_size"),
     *("descriptors", "rankings", "list_photos", "called", "cache", "leaks"),
 )
 
@@ -53,10 +54,16 @@ class Evaluate:
     """Right within so many frames; a photo's frame is the last whole number in its name."""
     radius: Metres = None
     """Right within so many metres, by geotag."""
+    heading: Degrees = None
+    """With a radius: right only where both photos look the same way within so many degrees."""
+    table: Table = None
+    """With a radius: where photos were taken that do not say so themselves, as `path,lat,lon`."""
     protocol: Text = None
     """A published protocol by its name, which says what is right."""
     data: Folder = None
     """The folder of that protocol's data set."""
+    layout: Text = None
+    """How that data set lies on disk, where several ways fit; `salad datasets check DIR` tells."""
     any_size: bool = False
     """Take a set whose counts are not the protocol's; its figures then say so."""
     model: Annotated[str, arg(metavar="NAME|DIR|FILE")] = SHIPPED
@@ -152,8 +159,18 @@ class Evaluate:
             raise BenchmarkError(
                 f"{missing} is missing: name both folders, or a published set with --protocol and --data"
             )
+        if self.layout is not None:
+            raise BenchmarkError(
+                f"--layout {self.layout} is of a published set: name it with --protocol and --data"
+            )
         return benchmark_of(
-            self.references, self.queries, truth=self.truth, frames=self.frames, radius=self.radius
+            self.references,
+            self.queries,
+            truth=self.truth,
+            frames=self.frames,
+            radius=self.radius,
+            heading=self.heading,
+            table=self.table,
         )
 
     def _named(self, protocol: str) -> Benchmark:
@@ -164,15 +181,21 @@ class Evaluate:
                 f"the set of {protocol} is one folder: name it with --data, or your own two with --references and "
                 "--queries"
             )
-        return read(
+        positions = positions_in(self.table)
+        made = read(
             protocol,
             self.data or self.references or Path(),
             queries=self.queries,
             metres=self.radius,
             tolerance=self.frames,
+            heading=self.heading,
+            table=positions,
             truth=self.truth,
+            layout=self.layout,
             any_size=self.any_size,
         )
+        check_positions(positions, made)
+        return made
 
     def _saved(self, path: Path) -> tuple[Result, Describes | None]:
         """A result that was judged before, and the model it is of, where its heat maps are wanted."""

@@ -77,6 +77,10 @@ def read(
             "folder, frames or truth"
         )
     if asked.yours:
+        if layout is not None:
+            raise BenchmarkError(
+                f"{protocol} takes two folders as they are and no layout {layout}: leave it away"
+            )
         return _own(asked, root, queries, metres, tolerance, heading, table, truth)
     taken = _layout(asked, root, layout)
     sides = taken.read(root, asked)
