@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from salad.data.places import TrainingPlace, View, batches
+from salad.data.places import TrainingPlace, View
 from salad.data.sampling import CliqueSampler, MixedSampler, OneCitySampler, Sampler
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between, shifted
@@ -96,13 +96,6 @@ def test_mixed_batches_are_drawn_as_they_always_were(
         assert [(view.path, view.label, view.mirrored) for view in sampler.batch(number)] == batch
         check_views(sampler.batch(number), views)
         assert len(set(map(id, shown(sampler.batch(number))))) == per_batch
-
-
-def test_batches_without_end_are_those_of_the_mixed_sampler() -> None:
-    places = made({"a": 6, "b": 3})
-    sampler = MixedSampler(places, per_batch=4, views=3, seed=1)
-    some = itertools.islice(batches(places, per_batch=4, views=3, seed=1, start=5), 3)
-    assert list(some) == [sampler.batch(number) for number in (5, 6, 7)]
 
 
 def test_a_city_takes_part_by_the_square_root_of_its_size() -> None:

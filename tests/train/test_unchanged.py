@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from salad.config import ModelConfig
-from salad.data.places import TrainingPlace, batches, split
+from salad.data.places import TrainingPlace, split
+from salad.data.sampling import MixedSampler
 from salad.model.describer import Describer, build
 from salad.train.augment import augmentation
 from salad.train.objective import multi_similarity
@@ -46,13 +47,13 @@ def _taught_plainly(
             model,
             torch.optim.AdamW([each for each in groups if each["params"]], weight_decay=recipe.weight_decay),
         )
-        feed = batches(learn, per_batch=recipe.places, views=recipe.views, seed=recipe.seed, start=step)
+        sampler = MixedSampler(learn, per_batch=recipe.places, views=recipe.views, seed=recipe.seed)
         while step < end:
             rising = min(1.0, (step - first + 1) / max(1, recipe.warmup))
             falling = 1 - (1 - recipe.last) * (step - first) / max(1, end - first)
             for group in optimizer.param_groups:
                 group["lr"] = group["rate"] * (rising * falling)
-            batch = next(feed)
+            batch = sampler.batch(step)
             torch.manual_seed(recipe.seed * 1_000_003 + step)
             module.train()
             photos = model.prepare([view.path for view in batch]) * model.std + model.mean

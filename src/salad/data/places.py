@@ -14,12 +14,11 @@ import numpy as np
 
 from salad.data import placestable
 from salad.data.gsv_cities import is_gsv_cities, read_gsv_cities
-from salad.data.sampling import batches
 from salad.data.views import FEWEST, Say, TrainingPlace, View, by_city
 from salad.errors import BenchmarkError
 from salad.photos import SUFFIXES
 
-__all__ = ["FEWEST", "TrainingPlace", "View", "batches", "find_places", "split"]
+__all__ = ["FEWEST", "TrainingPlace", "View", "find_places", "split"]
 
 
 def find_places(root: Path, *, say: Say | None = None) -> list[TrainingPlace]:

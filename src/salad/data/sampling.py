@@ -8,7 +8,7 @@ they would count as different; the samplers by epoch see to that where positions
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -191,17 +191,6 @@ class CliqueSampler(_EpochSampler):
         near = Neighbours([place.where for place in places], apart_m)
         packing = Packing([*cut, *([place] for place in alone)], near, room=per_batch)
         super().__init__(places, [packing], views=views, seed=seed, mirror=mirror, apart_m=apart_m)
-
-
-def batches(
-    places: Sequence[TrainingPlace], *, per_batch: int, views: int, seed: int, start: int = 0
-) -> Iterator[list[View]]:
-    """The batches of a `MixedSampler` without end, from number `start` on."""
-    sampler = MixedSampler(places, per_batch=per_batch, views=views, seed=seed)
-    number = start
-    while True:
-        yield sampler.batch(number)
-        number += 1
 
 
 def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:

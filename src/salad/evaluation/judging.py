@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from salad.data.benchmark import Benchmark
+from salad.data.benchmark import Benchmark, Unanswerable
 from salad.errors import BenchmarkError
 from salad.evaluation import metres
 from salad.evaluation.curves import Answers
@@ -24,7 +24,7 @@ from salad.evaluation.intervals import (
 )
 from salad.evaluation.ranking import Ranked
 from salad.evaluation.recall import KS, check_countable
-from salad.evaluation.result import Distances, PrecisionRecall, Result, Unanswerable, Verdict, answers
+from salad.evaluation.result import Distances, PrecisionRecall, Result, Verdict, answers
 from salad.evaluation.verdicts import along, folder_of, known, names_digest, rows_digest, verdicts_of
 
 DRIVES = ("frames", "nordland")  # protocols whose queries are the frames of one drive

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salad.data.benchmark import Benchmark
+from salad.data.benchmark import Benchmark, Unanswerable
 from salad.evaluation.cached import Cache
 from salad.evaluation.describing import Described
 from salad.evaluation.judging import Terms, judged
@@ -16,7 +16,7 @@ from salad.evaluation.leaks import find_leaks
 from salad.evaluation.outside import depth, read_descriptors, read_rankings
 from salad.evaluation.ranking import nearest
 from salad.evaluation.recall import KS
-from salad.evaluation.result import Result, Unanswerable
+from salad.evaluation.result import Result
 
 if TYPE_CHECKING:
     from salad.model.describer import Describes

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 
+from salad.data.benchmark import Unanswerable
 from salad.errors import BenchmarkError
-from salad.evaluation.result import Unanswerable
 
 KS = (1, 5, 10, 20)
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from salad.data.benchmark import Unanswerable
 from salad.evaluation.curves import Answers
 from salad.evaluation.intervals import Interval
 from salad.evaluation.leaks import Leak
 
-Unanswerable: TypeAlias = Literal["drop", "miss"]
 Degrees: TypeAlias = tuple[float, float]
 
 
