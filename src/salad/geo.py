@@ -72,6 +72,28 @@ def metres(lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike) -
     return apart
 
 
+def turn_between(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:
+    """Degrees between headings, element by element, the shorter way around: 0 to 180; NaN where one is unknown."""
+    apart = np.abs(np.asarray(ours, dtype=np.float64) - np.asarray(theirs, dtype=np.float64)) % 360
+    shorter: NDArray[np.float64] = np.minimum(apart, 360 - apart)
+    return shorter
+
+
+def round_metres(about: float) -> float:
+    """A length for a scale bar: the largest of 1, 2, 5, 10, 20, 50, ... that is not over `about`."""
+    power = 10.0 ** math.floor(math.log10(about))
+    return max(step * power for step in (1, 2, 5) if step * power <= about * (1 + 1e-9))
+
+
+def told_metres(metres: float) -> str:
+    """Metres for people: `3.2 m`, `48 m`, `1.3 km`."""
+    if not math.isfinite(metres):
+        return "infinitely far"
+    if metres >= 999.5:
+        return f"{metres / 1000:,.1f} km"
+    return f"{metres:.0f} m" if metres >= 9.95 else f"{metres:.1f} m"
+
+
 def from_utm(utm_point: Utm) -> GeoPoint:
     """The point on the earth that a UTM coordinate names.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from salad.cli import run
 from salad.geo import GeoPoint, shifted
@@ -121,3 +122,16 @@ def city(photos: Photos, cli: Callable[..., Ran], asked: list[str], tmp_path: Pa
     assert cli("index", photos.references, "--to", folder).code == 0
     asked.clear()
     return folder
+
+
+@pytest.fixture(scope="session")
+def training_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four places of four photos each."""
+    root, chance = tmp_path_factory.mktemp("training") / "set", np.random.default_rng(0)
+    for name in "abcd":
+        (root / name).mkdir(parents=True)
+        scene = chance.integers(20, 236, (8, 8, 3))
+        for number in range(4):
+            pixels = scene + chance.integers(-20, 20, scene.shape)
+            Image.fromarray(pixels.astype(np.uint8)).resize((64, 64)).save(root / name / f"{number}.png")
+    return root

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from rich.table import Table
 
 import salad as library
@@ -455,19 +454,6 @@ def test_evaluate_refuses_a_set_with_holes(cli: Any, asked: Any, photos: Any, br
 
 
 # --- train and demo ------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def training_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four places of four photos each."""
-    root, chance = tmp_path_factory.mktemp("training") / "set", np.random.default_rng(0)
-    for name in "abcd":
-        (root / name).mkdir(parents=True)
-        scene = chance.integers(20, 236, (8, 8, 3))
-        for number in range(4):
-            pixels = scene + chance.integers(-20, 20, scene.shape)
-            Image.fromarray(pixels.astype(np.uint8)).resize((64, 64)).save(root / name / f"{number}.png")
-    return root
 
 
 def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,9 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from salad.cli.training import Train
 from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig
@@ -24,16 +22,9 @@ TINY = ModelConfig(
 )
 
 
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four places of four photos each."""
-    root, chance = tmp_path_factory.mktemp("taught") / "set", np.random.default_rng(0)
-    for name in "abcd":
-        (root / name).mkdir(parents=True)
-        for number in range(4):
-            pixels = chance.integers(20, 236, (8, 8, 3)).astype(np.uint8)
-            Image.fromarray(pixels).resize((40, 40)).save(root / name / f"{number}.png")
-    return root
+@pytest.fixture
+def data(training_photos: Path) -> Path:
+    return training_photos
 
 
 @pytest.fixture(autouse=True)

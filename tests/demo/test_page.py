@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from salad.demo import DemoResult
 from salad.demo.page import draw_page, write_page
 from salad.demo.strips import coordinates
-from salad.demo.townmap import Frame, draw_map, round_metres
+from salad.demo.townmap import Frame, draw_map
 from salad.errors import BenchmarkError
-from salad.geo import EARTH_RADIUS_M, GeoPoint, metres_between, shifted
+from salad.geo import EARTH_RADIUS_M, GeoPoint, metres_between, round_metres, shifted
 from salad.model.fake import FakeDescriber
 
 Result = Callable[..., DemoResult]

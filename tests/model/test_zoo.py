@@ -351,7 +351,7 @@ class TestChecksum:
 
         cache.mkdir(parents=True)
         (cache / "tiny.pth").write_bytes(BODY)
-        monkeypatch.setattr(downloads, "_write_whole", refuse)
+        monkeypatch.setattr(downloads, "write_whole", refuse)
         assert fetch("tiny", opener=offline).read_bytes() == BODY
 
 

@@ -23,7 +23,7 @@ from salad.errors import BenchmarkError
 from salad.evaluation import Ranked, Result, Terms, judged, read_result, write_result
 from salad.evaluation.leaks import Leak
 from salad.evaluation.result import Verdict
-from salad.geo import GeoPoint, metres_between, shifted
+from salad.geo import GeoPoint, metres_between, round_metres, shifted, told_metres
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo, save_jpeg
 from salad.report import choosing, draw_report, plots, sheet, words, write_report
@@ -432,8 +432,8 @@ def test_words() -> None:
     assert [words.ordinal(n) for n in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
     ]
-    assert [words.distance(m) for m in (0.04, 9.94, 9.96, 999.4, 999.5, 1234567, math.inf)] == [
+    assert [told_metres(m) for m in (0.04, 9.94, 9.96, 999.4, 999.5, 1234567, math.inf)] == [
         *("0.0 m", "9.9 m", "10 m", "999 m", "1.0 km", "1,234.6 km", "infinitely far")
     ]
     assert words.several(1, "query", "queries") == "1 query"
-    assert sheet.round_metres(60) == 50
+    assert round_metres(60) == 50

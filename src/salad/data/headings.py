@@ -8,6 +8,7 @@ import numpy as np
 
 from salad.data.lazy import Ragged, headings
 from salad.errors import BenchmarkError
+from salad.geo import turn_between
 from salad.photos import Photo
 
 
@@ -30,7 +31,7 @@ def looking_alike(
                 "give a table with headings, or leave the tolerance of headings away"
             )
     query = np.repeat(np.arange(len(ours)), positives.lengths)
-    apart = np.abs((theirs[positives.values] - ours[query] + 180) % 360 - 180)
+    apart = turn_between(theirs[positives.values], ours[query])
     alike = apart <= tolerance + 1e-9  # with room for rounding
     counts = np.bincount(query[alike], minlength=len(ours))
     return Ragged(positives.values[alike], np.concatenate([[0], np.cumsum(counts)]).astype(np.int64))

@@ -6,15 +6,12 @@ from rich.table import Table
 from rich.text import Text
 
 from salad.demo.result import WITHIN_M, DemoResult
+from salad.geo import told_metres
 
 
 def distance(metres: float | None) -> str:
     """Metres for people: `3.2 m`, `48 m`, `1.3 km`, or a dash where unknown."""
-    if metres is None:
-        return "–"
-    if metres >= 999.5:
-        return f"{metres / 1000:.1f} km"
-    return f"{metres:.0f} m" if metres >= 9.95 else f"{metres:.1f} m"
+    return "–" if metres is None else told_metres(metres)
 
 
 def table(result: DemoResult) -> Table:

@@ -10,7 +10,7 @@ from itertools import chain
 
 from salad.demo.report import distance
 from salad.demo.result import DemoResult, Judged
-from salad.geo import EARTH_RADIUS_M, GeoPoint
+from salad.geo import EARTH_RADIUS_M, GeoPoint, round_metres
 from salad.photos import read_photo
 
 MARGIN_M = 9.0
@@ -163,12 +163,6 @@ def _scale_bar(frame: Frame) -> str:
         for kind, start in (("full", 0.0), ("hollow", half))
     )
     return f'<g class="scale" role="img" aria-label="Scale bar of {length:g} metres">{plate}{bars}{texts}</g>'
-
-
-def round_metres(about: float) -> float:
-    """The largest of 1, 2, 5, 10, 20, 50, ... that is not over `about`."""
-    power = 10.0 ** math.floor(math.log10(about))
-    return max(step * power for step in (1, 2, 5) if step * power <= about * (1 + 1e-9))
 
 
 def _north_arrow(frame: Frame) -> str:

@@ -13,10 +13,9 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salad.errors import StoreError
-from salad.geo import EARTH_RADIUS_M, GeoPoint, metres
+from salad.geo import EARTH_RADIUS_M, GeoPoint, metres, turn_between
 from salad.index.candidates import Mask
 from salad.index.ledger import Ledger
 
@@ -87,7 +86,7 @@ def allowed(filter: Filter, ledger: Ledger, alive: Mask) -> Mask:
         if filter.near is not None and filter.within_m is not None:
             keep &= metres(filter.near.lat, filter.near.lon, lat, lon) <= filter.within_m
         if filter.heading is not None:
-            keep &= _turned(np.asarray(heading), filter.heading) <= filter.heading_within
+            keep &= turn_between(heading, filter.heading) <= filter.heading_within
         if filter.since is not None or filter.until is not None:
             keep &= [_in_span(filter, each) for each in time]
         passed[np.asarray(row)[keep]] = True
@@ -145,13 +144,6 @@ def _around(near: GeoPoint, within_m: float) -> Box:
     aside += _SPARE_DEGREES
     west, east = near.lon - aside, near.lon + aside
     return (south, west + 360 if west < -180 else west, north, east - 360 if east > 180 else east)
-
-
-def _turned(heading: npt.NDArray[np.float64], to: float) -> npt.NDArray[np.float64]:
-    """Degrees between directions, 0 to 180, the shorter way around."""
-    apart = np.abs(heading - to) % 360
-    shorter: npt.NDArray[np.float64] = np.minimum(apart, 360 - apart)
-    return shorter
 
 
 def _day(bound: datetime, room: timedelta) -> str:

@@ -10,10 +10,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import http.client
-import os
 import re
 import sqlite3
-import tempfile
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -23,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from salad.errors import WeightsError
+from salad.wholefile import write_whole
 
 Progress = Callable[[int, int | None], None]
 Opener = Callable[..., Any]
@@ -85,7 +84,7 @@ def check(path: Path, *, sha256: str | None = None) -> None:
     found, recorded = _sha256(path), _beside(path, "sha256")
     if sha256 is None and not recorded.exists():
         with contextlib.suppress(OSError):  # a shared cache may be read-only, and its files good all the same
-            _write_whole(recorded, f"{found}  {path.name}\n")
+            write_whole(recorded, f"{found}  {path.name}\n".encode())
         return
     due = sha256 or recorded.read_text(encoding="utf-8").split(" ")[0]
     if found != due:
@@ -180,7 +179,7 @@ def _remember_version(part: Path, response: Any) -> None:
     # HTTP does not let a weak tag (W/"...") vouch for single bytes.
     version = tag if tag.startswith('"') else response.headers.get("Last-Modified")
     if version:
-        _write_whole(_beside(part, "version"), version)
+        write_whole(_beside(part, "version"), version.encode())
     else:
         _beside(part, "version").unlink(missing_ok=True)
 
@@ -196,7 +195,7 @@ def _settle(part: Path, target: Path, total: int | None, *, sha256: str | None, 
     if any(due not in (None, came) for due, came in ((total, length), (size, length), (sha256, found))):
         part.unlink()
         raise OSError(f"what came has {length} bytes and checksum {found}, not {size or total} and {sha256}")
-    _write_whole(_beside(target, "sha256"), f"{found}  {target.name}\n")
+    write_whole(_beside(target, "sha256"), f"{found}  {target.name}\n".encode())
     part.replace(target)
     _beside(part, "version").unlink(missing_ok=True)
 
@@ -208,11 +207,3 @@ def _beside(path: Path, suffix: str) -> Path:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a small file so that nobody ever reads half of it."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    Path(name).replace(path)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salad.geo import GeoPoint, metres
+from salad.geo import GeoPoint, metres, turn_between
 from salad.index import Match
 
 RADIUS_M = 25.0
@@ -93,6 +93,6 @@ def _beside(placed: Sequence[Ballot], radius_m: float) -> npt.NDArray[np.bool_]:
 def _alike(placed: Sequence[Ballot]) -> npt.NDArray[np.bool_]:
     """Which may show one view, `[ballots, ballots]`: all but those that look more than `VIEW` apart."""
     headings = np.array([ballot.match.photo.heading for ballot in placed], dtype=np.float64)  # None is NaN
-    apart = np.abs((headings[:, None] - headings + 180) % 360 - 180)
+    apart = turn_between(headings[:, None], headings)
     alike: npt.NDArray[np.bool_] = ~(apart > VIEW)
     return alike

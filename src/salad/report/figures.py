@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from salad._version import __version__
 from salad.evaluation import Result, Verdict
 from salad.evaluation.intervals import Interval
+from salad.geo import told_metres
 from salad.report.choosing import OUTCOMES, counts
-from salad.report.words import distance, ends, exact, several, shown, whole
+from salad.report.words import ends, exact, several, shown, whole
 
 TOGETHER = {
     "query": "each query by itself",
@@ -65,9 +66,9 @@ def _rows(result: Result) -> Iterable[Row]:
         least = "" if curve.threshold is None else f" <small>from score {curve.threshold:.3f} on</small>"
         yield _share(f"recall at 100 % precision{least}", curve.recall_at_full_precision, curve.full_interval)
     if (far := result.distances) is not None:
-        middle = f'<data value="{far.median!r}">{distance(far.median)}</data>'
+        middle = f'<data value="{far.median!r}">{told_metres(far.median)}</data>'
         sides = far.median_interval.low, far.median_interval.high
-        between = " to ".join(f'<data value="{end!r}">{distance(end)}</data>' for end in sides)
+        between = " to ".join(f'<data value="{end!r}">{told_metres(end)}</data>' for end in sides)
         yield f"median error <small>of {whole(far.known)} queries</small>", middle, between, ""
         for metres, share in far.within.items():
             yield _share(f"within {metres} m", share, far.within_intervals.get(metres))

@@ -11,7 +11,7 @@ import numpy as np
 
 from salad.evaluation import Result
 from salad.evaluation.intervals import Interval
-from salad.report.words import distance
+from salad.geo import told_metres
 
 WIDE, HIGH = 360, 230  # of what lies between the axes; the page scales it
 LEFT, RIGHT, ABOVE, BELOW = 42, 22, 12, 40
@@ -111,7 +111,7 @@ def metres_plot(result: Result) -> str:
         "metres from the best match",
         low,
         high,
-        tuple((ten, distance(ten).replace(".0", "")) for ten in tens),
+        tuple((ten, told_metres(ten).replace(".0", "")) for ten in tens),
         log=True,
     )
     return plot("Metres", x, PERCENT, line, marks)

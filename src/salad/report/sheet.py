@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from salad.evaluation import Result, Verdict
 from salad.evaluation.result import Degrees
-from salad.geo import EARTH_RADIUS_M
+from salad.geo import EARTH_RADIUS_M, round_metres, told_metres
 from salad.report.choosing import OUTCOMES, Outcome, outcome
-from salad.report.words import distance, shown
+from salad.report.words import shown
 
 WIDE = 1000.0  # units across a map; the page scales it
 SHAPE = (0.42, 0.86)  # the least and the most height, as a part of the width
@@ -151,7 +151,7 @@ def _queries(
 def named(one: Verdict, number: int, shape: str, *, linked: bool) -> str:
     """A query's mark with what became of it in words, and the way to its strip where it has one."""
     kind = outcome(one)
-    said = f"{one.query}: {kind}" + (f", {distance(one.metres)} off" if one.metres is not None else "")
+    said = f"{one.query}: {kind}" + (f", {told_metres(one.metres)} off" if one.metres is not None else "")
     if one.group is not None:
         said += f", {one.group}"
     title = f"<title>{shown(said)}</title>{shape}"
@@ -187,12 +187,6 @@ def _scale_bar(frame: Frame) -> str:
         f'<path d="M28 {y - 5:.1f}v7h{length:.1f}v-7"/>'
         f'<text x="{28 + length / 2:.1f}" y="{y - 8:.1f}">{told}</text></g>'
     )
-
-
-def round_metres(about: float) -> float:
-    """The largest of 1, 2, 5, 10, 20, 50, ... that is not over `about`."""
-    power = 10.0 ** math.floor(math.log10(about))
-    return max(step * power for step in (1, 2, 5) if step * power <= about * (1 + 1e-9))
 
 
 def _north_arrow() -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from salad.evaluation import Verdict
+from salad.geo import told_metres
 from salad.report.choosing import outcome
 from salad.report.pictures import Pictures
-from salad.report.words import distance, ordinal, shown
+from salad.report.words import ordinal, shown
 
 
 def draw_strip(number: int, pictures: Pictures, *, marked: bool = True) -> str:
@@ -35,7 +36,7 @@ def _said(one: Verdict) -> str:
     if not one.positives:
         return "no reference is right"
     if one.metres is not None:
-        return f"{distance(one.metres)} off"
+        return f"{told_metres(one.metres)} off"
     if one.first_right is not None:
         return f"the right one came {ordinal(one.first_right)}"
     return f"not among {len(one.matches)}" if one.matches else "nothing found"

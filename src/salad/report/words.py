@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from html import escape
 
 from salad.evaluation.intervals import Interval
@@ -11,15 +10,6 @@ from salad.evaluation.intervals import Interval
 def shown(text: str) -> str:
     """A name as HTML: nothing in it is markup, and letters that no page can hold become a question mark."""
     return escape(text.encode("utf-8", "replace").decode("utf-8"))
-
-
-def distance(metres: float) -> str:
-    """Metres for people: `3.2 m`, `48 m`, `1.3 km`."""
-    if not math.isfinite(metres):
-        return "infinitely far"
-    if metres >= 999.5:
-        return f"{metres / 1000:,.1f} km"
-    return f"{metres:.0f} m" if metres >= 9.95 else f"{metres:.1f} m"
 
 
 def exact(value: float, unit: str = "") -> str:

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from salad.data.places import TrainingPlace, split
+from salad.model.counting import parameters
 from salad.model.describer import Describer, build
 from salad.train.augment import augmentation
 from salad.train.caching import Part, learn
@@ -125,8 +126,7 @@ def _stage(steps: int | None, blocks: int, cost: Cost, *, processes: int) -> str
 
 
 def _counted(part: nn.Module) -> str:
-    every = sum(weight.numel() for weight in part.parameters())
-    trained = sum(weight.numel() for weight in part.parameters() if weight.requires_grad)
+    every, trained = parameters(part), parameters(part, trained_only=True)
     return f"{trained:,} of {every:,} weights trained"
 
 
@@ -170,8 +170,7 @@ def _noise(model: Describer, recipe: Recipe, photos: int, *, fabric: Any, cached
 
 
 def _megabytes(model: nn.Module, activations: float) -> float:
-    every = sum(weight.numel() for weight in model.parameters())
-    trained = sum(weight.numel() for weight in model.parameters() if weight.requires_grad)
+    every, trained = parameters(model), parameters(model, trained_only=True)
     return (_BYTES * (_KEPT * every + _PER_TRAINED * trained) + activations) / _MEGA
 
 

@@ -28,6 +28,7 @@ from salad.data.town.plan import Plan, plan_town
 from salad.data.town.visits import ORIGIN, position_of, take_queries, take_references
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, shifted
+from salad.wholefile import write_whole
 
 __all__ = ["ORIGIN", "Town", "draw_town", "read_town"]
 
@@ -198,9 +199,7 @@ def _pair(point: GeoPoint) -> list[float]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    part.replace(path)
+    write_whole(path, json.dumps(content, indent=1).encode())
 
 
 def _read_json(folder: Path) -> dict[str, Any]:
