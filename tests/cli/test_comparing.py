@@ -112,6 +112,42 @@ def test_a_grid_is_trained_measured_and_told(cli: Any, photos: Any, data: Path, 
     assert "of 2 runs" not in again.err
 
 
+def test_heads_alone_are_compared_under_a_frozen_backbone(
+    cli: Any, photos: Any, data: Path, tmp_path: Path
+) -> None:
+    to = tmp_path / "runs"
+    ran = cli(
+        *(
+            "compare",
+            "--grid",
+            "aggregators",
+            "--rows",
+            "gem",
+            "average",
+            "--size",
+            32,
+            "--steps",
+            2,
+            "--frozen",
+        ),
+        *("--seeds", 1, "--data", data, "--to", to, "--accelerator", "cpu"),
+        *("--benchmark", "town", photos.references, photos.queries, "frames:0"),
+    )
+    assert ran.code == 0, ran.err
+    trained, untrained = read(to / "gem" / "seed0"), read(to / "average" / "seed0")
+    assert trained is not None
+    assert untrained is not None
+    assert trained.preset["recipe"]["head_steps"] == 2
+    assert untrained.preset["recipe"]["head_steps"] == 0
+    assert {one.preset["recipe"]["tuned_blocks"] for one in (trained, untrained)} == {0}
+    assert trained.parameters["trained"] == 1  # the mean's power
+    assert (
+        "32 x 32 pixels, the backbone frozen and 4 versions of each photo kept as tokens, unless" in ran.out
+    )
+    refusal = refused(cli("compare", "--grid", "blocks", "--to", to, "--frozen"))
+    assert "compares how many blocks are trained: leave --frozen out" in refusal
+
+
 def test_the_tables_are_made_again_from_the_results_there_are(cli: Any, tmp_path: Path) -> None:
     put(tmp_path, *(an_outcome("small", seed, 50.0 + seed) for seed in (0, 1)), an_outcome("full", 0, 90.0))
     ran = cli("compare", "--grid", "sizes", "--to", tmp_path, "--table-only")

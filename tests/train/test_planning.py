@@ -47,6 +47,31 @@ def test_everything_is_told_and_nothing_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_last_steps_at_full_size_cost_what_they_cost(
+    vit: ModelConfig, recipe: Recipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes: list[int | None] = []
+
+    def cost(_: Any, recipe: Recipe, **__: Any) -> Cost:
+        sizes.append(recipe.size)
+        return Cost(60.0, 10.0) if recipe.size else Cost(180.0, 500.0)
+
+    monkeypatch.setattr(planning, "measured", cost)
+    told = _plan(vit, dataclasses.replace(recipe, head_steps=3, tune_steps=5, size=28, full_steps=2))
+    assert sizes == [28, 28, None]
+    assert told["tune"].startswith("3 steps, 1 blocks trained, about 60.00 s")
+    assert told["tune, full size"].startswith("2 steps, 1 blocks trained, about 180.00 s")
+    assert told["time"].startswith("about 12.0 minutes")
+    assert told["memory"] == "about 500 MB a process"
+    over = _plan(vit, dataclasses.replace(recipe, head_steps=3, tune_steps=5, size=28, full_steps=7))
+    assert [over[name].split(",")[0] for name in ("head", "head, full size", "tune, full size")] == [
+        "1 steps",
+        "2 steps",
+        "5 steps",
+    ]
+    assert "tune" not in over
+
+
 def test_what_only_the_data_say_is_unknown_without_them(
     vit: ModelConfig, recipe: Recipe, places: list[TrainingPlace]
 ) -> None:

@@ -54,6 +54,11 @@ def test_a_start_or_a_depth_that_cannot_be_is_a_sentence(tmp_path: Path) -> None
 def test_the_budget_is_a_small_presets() -> None:
     assert usual_recipe("imagenet") == PRESETS["small"].recipe
     assert usual_recipe("some.pth") == PRESETS["salad-vits"].recipe
+    assert (
+        usual_recipe("some.pth", frozen=True)
+        == usual_recipe("imagenet", frozen=True)
+        == PRESETS["head"].recipe
+    )
 
 
 @pytest.mark.parametrize("grid", GRIDS)
@@ -84,6 +89,16 @@ def test_a_head_without_weights_takes_its_steps_with_the_backbone() -> None:
     assert preset(TINY, by_name["gem"], seed=0).recipe.head_steps == 1  # its power is learnt
     frozen = preset(TINY, replace(by_name["average"], blocks=0), seed=0).recipe
     assert frozen.head_steps + frozen.tune_steps == 0
+
+
+@pytest.mark.parametrize("grid", ["aggregators", "parts", "sizes"])
+def test_under_a_frozen_backbone_no_row_trains_a_block(grid: str) -> None:
+    recipe = usual_recipe("imagenet", frozen=True).of_steps(30)
+    made = [preset(terms(side=224, recipe=recipe), row, seed=0) for row in rows(grid)]
+    assert all(each.recipe.tuned_blocks == each.recipe.tune_steps == 0 for each in made)
+    without = {each.model.name for each in made if each.recipe.head_steps == 0}
+    assert without == ({"average", "class-token", "vlad"} if grid == "aggregators" else set())
+    assert {each.recipe.head_steps for each in made} <= {0, 30}
 
 
 def test_what_depends_on_the_number_of_tokens_is_made_for_it() -> None:

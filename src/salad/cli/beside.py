@@ -118,8 +118,8 @@ def told(outcomes: Outcomes) -> list[str]:
     return [
         f"Every row starts from {first.start['name']} (SHA-256 {first.start['sha256'][:12]}) and takes "
         f"{_steps(recipe)} steps of {recipe['places']} places x {recipe['views']} photos at "
-        f"{size['height']} x {size['width']} pixels, unless its name says otherwise; a row with nothing to train "
-        f"takes none. Seeds: {', '.join(map(str, seeds))}.",
+        f"{size['height']} x {size['width']} pixels{_frozen(recipe)}, unless its name says otherwise; a row with "
+        f"nothing to train takes none. Seeds: {', '.join(map(str, seeds))}.",
         f"Learnt from {data['places']} places, {data['photos']} photos ({_cities(data['cities'])}; digest "
         f"{data['digest']}), {recipe['held_out']:.0%} of the places held out; the weights of the best measurement on "
         "those are kept.",
@@ -133,6 +133,12 @@ def told(outcomes: Outcomes) -> list[str]:
 
 def _steps(recipe: Mapping[str, int]) -> int:
     return recipe["head_steps"] + recipe["tune_steps"]
+
+
+def _frozen(recipe: Mapping[str, int]) -> str:
+    if recipe["tune_steps"] or not recipe["cache_versions"]:
+        return ""
+    return f", the backbone frozen and {recipe['cache_versions']} versions of each photo kept as tokens"
 
 
 def _cities(cities: Mapping[str, int]) -> str:

@@ -61,13 +61,15 @@ class Compare:
     seeds: int = 3
     """How many times each row is trained: with seeds 0, 1, 2 ..."""
     steps: Number = None
-    """Training steps of every run, where not those of the small preset."""
+    """Training steps of every run, where not those of the small preset (with --frozen, of the head preset)."""
     size: int = 224
     """Side in pixels of the squares that photos are squeezed to."""
     start: str = "imagenet"
     """Where the backbone starts: imagenet for EfficientNet-Lite0, or a file of a DINOv2 backbone."""
     depth: Number = None
     """Blocks kept of a file's backbone, where not all."""
+    frozen: bool = False
+    """Train no block in any row: heads learn from tokens kept on disk, far more steps in the same time."""
     accelerator: str = "auto"
     """Where to train: auto, cpu, gpu or mps."""
     device: str = "cpu"
@@ -102,6 +104,8 @@ class Compare:
         from salad.train.grids import rows
 
         chosen = rows(grid, self.rows)
+        if grid == "blocks" and self.frozen:
+            raise BenchmarkError("--grid blocks compares how many blocks are trained: leave --frozen out")
         if not self.table_only:
             self._train(chosen, to)
         shell.put(write_tables(to, grid, chosen))
@@ -133,7 +137,7 @@ class Compare:
     def _terms(self) -> Terms:
         from salad.train.terms import terms, usual_recipe
 
-        recipe = usual_recipe(self.start)
+        recipe = usual_recipe(self.start, frozen=self.frozen)
         if self.steps is not None:
             recipe = recipe.of_steps(positive(self.steps, "steps"))
         return terms(self.start, side=self.size, recipe=recipe, depth=self.depth)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -89,14 +89,19 @@ def plan(
     stages = _stages(recipe, places)
     fabric = launched(accelerator, recipe.precision)
     told["measured on"] = f"{fabric.device}, one step of {SAMPLE} photos of noise"
-    minutes = 0.0
-    for name, (steps, blocks) in stages.items():
-        model.backbone.train_last(blocks)
-        cost = measured(model, recipe, fabric=fabric, cached=blocks == 0 and recipe.cache_versions > 0)
-        told[name] = _stage(steps, blocks, cost, processes=devices * nodes)
-        told |= {f"{name}: {part}": _counted(getattr(model, part)) for part in ("backbone", "aggregator")}
-        minutes += (steps or 0) * cost.seconds / (devices * nodes) / _MINUTE
-        told["memory"] = f"about {cost.megabytes:,.0f} MB a process"  # the last stage trains the most
+    minutes = most = 0.0
+    for stage in stages:
+        model.backbone.train_last(stage.blocks)
+        shown = replace(recipe, size=None, full_steps=0) if stage.full else recipe
+        cost = measured(model, shown, fabric=fabric, cached=_cached(recipe, stage.blocks))
+        told[stage.name] = _told(stage, cost, processes=devices * nodes)
+        if not stage.full:
+            told |= {
+                f"{stage.name}: {part}": _counted(getattr(model, part)) for part in ("backbone", "aggregator")
+            }
+        minutes += (stage.steps or 0) * cost.seconds / (devices * nodes) / _MINUTE
+        most = max(most, cost.megabytes)
+    told["memory"] = f"about {most:,.0f} MB a process"
     told["time"] = f"about {minutes:,.1f} minutes, reading and measuring on top" if minutes else "unknown"
     return told
 
@@ -109,20 +114,39 @@ def _data(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> dict[str, A
     return {"data": f"{photos} photos of {len(learn_from)} places to learn from, {len(choose)} to choose by"}
 
 
-def _stages(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> dict[str, tuple[int | None, int]]:
-    """Steps (None where only the data can say) and trained blocks of each stage that has any."""
+class _Stage(NamedTuple):
+    """A stretch of steps alike: how many (None where only the data can say), and whether at the size in use."""
+
+    name: str
+    steps: int | None
+    blocks: int
+    full: bool = False
+
+
+def _stages(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> list[_Stage]:
+    """Every stretch that has any step, in the order they are walked."""
     head, tune = recipe.head_steps, None if recipe.epochs else recipe.tune_steps
     if places is not None:
         learn_from, _ = split(places, held_out=recipe.held_out, seed=recipe.seed)
         head, end = steps_of(recipe, sampler_of(recipe, learn_from))
         tune = end - head
-    found = {"head": (head, 0), "tune": (tune, recipe.tuned_blocks)}
-    return {name: (steps, blocks) for name, (steps, blocks) in found.items() if steps != 0}
+    left = recipe.full_steps  # the last ones, whichever stage they fall into
+    walked: list[_Stage] = []
+    for name, steps, blocks in (("tune", tune, recipe.tuned_blocks), ("head", head, 0)):
+        full = 0 if _cached(recipe, blocks) else left if steps is None else min(left, steps)
+        left -= full
+        rest = None if steps is None else steps - full
+        walked = [_Stage(name, rest, blocks), _Stage(f"{name}, full size", full, blocks, full=True), *walked]
+    return [stage for stage in walked if stage.steps != 0]
 
 
-def _stage(steps: int | None, blocks: int, cost: Cost, *, processes: int) -> str:
-    count = "as many steps as the data have" if steps is None else f"{steps} steps"
-    return f"{count}, {blocks} blocks trained, about {cost.seconds / processes:.2f} s a step"
+def _cached(recipe: Recipe, blocks: int) -> bool:
+    return blocks == 0 and recipe.cache_versions > 0
+
+
+def _told(stage: _Stage, cost: Cost, *, processes: int) -> str:
+    count = "as many steps as the data have" if stage.steps is None else f"{stage.steps} steps"
+    return f"{count}, {stage.blocks} blocks trained, about {cost.seconds / processes:.2f} s a step"
 
 
 def _counted(part: nn.Module) -> str:

@@ -40,7 +40,8 @@ class Terms:
         stride: pixels between two tokens.
         preprocessing: how photos are prepared when the model is used.
         start: where the backbone starts: `imagenet`, or a file.
-        recipe: the budget; seed, trained blocks and the side of photos in training are the row's.
+        recipe: the budget; seed, trained blocks and the side of photos in training are the row's. Where it has no
+            step for the backbone, no row trains a block of it.
     """
 
     backbone: LiteConfig | ViTConfig
@@ -104,8 +105,10 @@ def _terms(backbone: LiteConfig | ViTConfig, photo: Preprocessing, start: str, r
     return Terms(backbone, stride, photo, start, recipe)
 
 
-def usual_recipe(start: str) -> Recipe:
-    """The recipe of the small preset that begins with such a start."""
+def usual_recipe(start: str, *, frozen: bool = False) -> Recipe:
+    """The recipe of the small preset that begins with such a start; frozen, that of heads on cached tokens."""
+    if frozen:
+        return PRESETS["head"].recipe
     return PRESETS["small" if start == IMAGENET else "salad-vits"].recipe
 
 
@@ -122,6 +125,8 @@ def preset(terms: Terms, row: Row, *, seed: int) -> Preset:
         preprocessing=terms.preprocessing,
     )
     blocks = terms.blocks if row.blocks == ALL else row.blocks
+    if not terms.recipe.tune_steps:
+        blocks = 0
     if blocks > terms.blocks:
         raise ModelError(f"the row {row.name} trains {blocks} blocks, but the backbone has {terms.blocks}")
     recipe = replace(terms.recipe, seed=seed, tuned_blocks=blocks)
