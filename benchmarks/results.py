@@ -1,6 +1,6 @@
 """The grids on the photos beside the checkout, and the page that tells what came of them.
 
-    python benchmarks/results.py run [GRID ...] [--to runs/grids] [-- OPTIONS OF salad compare]
+    python benchmarks/results.py run [GRID ...] [--sets NAME,...] [--to runs/grids] [-- OPTIONS OF salad compare]
     python benchmarks/results.py write [GRID ...] [--from runs/grids] [--page docs/results.md]
 
 `run` is `salad compare` with every evaluation set that is there, one folder a grid; interrupt it as you like, it
@@ -53,10 +53,12 @@ in sfxl-30 and nordland64 the camera looks the same way again.
 """
 
 
-def command(grid: str, to: Path, more: Sequence[str]) -> list[str]:
-    """`salad compare` with all sets that are there."""
+def command(grid: str, to: Path, sets: Sequence[str], more: Sequence[str]) -> list[str]:
+    """`salad compare` with those of the sets that are there."""
     options = ["compare", "--grid", grid, "--to", str(to), "--data", str(SHARED / "train")]
     for name, references, queries, rule in SETS:
+        if name not in sets:
+            continue
         folder = SHARED / "eval" / name
         if not folder.is_dir():
             print(f"{name}: not at {folder}, passed over", file=sys.stderr)
@@ -67,11 +69,11 @@ def command(grid: str, to: Path, more: Sequence[str]) -> list[str]:
     return [*options, *more]
 
 
-def run(grids: Sequence[str], to: Path, more: Sequence[str]) -> None:
+def run(grids: Sequence[str], to: Path, sets: Sequence[str], more: Sequence[str]) -> None:
     """Run each grid; the command is kept beside its results."""
     for grid in grids:
         folder = to / grid
-        options = command(grid, folder, more)
+        options = command(grid, folder, sets, more)
         folder.mkdir(parents=True, exist_ok=True)
         shown = [option.replace(f"{ROOT.parent}/", "../") for option in options]  # from the checkout
         (folder / COMMAND).write_text(json.dumps(shown) + "\n", encoding="utf-8")
@@ -116,6 +118,8 @@ def main() -> None:
     )
     parser.add_argument("what", choices=("run", "write"))
     parser.add_argument("grids", nargs="*", metavar="GRID", help=f"of {', '.join(GRIDS)}; all by default")
+    every = [name for name, *_ in SETS]
+    parser.add_argument("--sets", default=",".join(every), help="with commas; all by default")
     parser.add_argument("--to", "--from", dest="runs", type=Path, default=ROOT / "runs" / "grids")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "results.md")
     before, more = sys.argv[1:], []
@@ -126,8 +130,11 @@ def main() -> None:
     unknown = set(grids) - set(GRIDS)
     if unknown:
         parser.error(f"there is no grid {unknown.pop()!r}: choose among {', '.join(GRIDS)}")
+    sets = asked.sets.split(",")
+    if set(sets) - set(every):
+        parser.error(f"--sets {asked.sets}: choose among {', '.join(every)}")
     if asked.what == "run":
-        run(grids, asked.runs, more)
+        run(grids, asked.runs, sets, more)
     else:
         text = page(grids, asked.runs, asked.page.parent)
         asked.page.write_text(text, encoding="utf-8")

@@ -86,6 +86,50 @@ def test_the_best_weights_of_the_run_and_its_last_are_kept(teach: Teach, tmp_pat
     assert [json.loads(line)["benchmark"]["mean"] for line in lines] == [1.0, 5.0, 2.0, 4.9]
 
 
+def test_weights_are_kept_on_the_way_from_the_first_stage_to_the_second(teach: Teach, tmp_path: Path) -> None:
+    seen: dict[str, list[dict[str, torch.Tensor]]] = {}
+
+    def run(name: str, share: float) -> dict[str, torch.Tensor]:
+        seen[name] = []
+
+        def judge(model: Describer) -> dict[str, float]:
+            seen[name].append({key: value.clone() for key, value in model.state_dict().items()})
+            return {"mean": float(len(seen[name]))}
+
+        teach(tmp_path / name, judge=judge, recipe={"tuned_share": share})
+        return _weights(tmp_path / name)
+
+    before, after, between = run("none", 0.0), run("all", 1.0), run("part", 0.25)
+    first = seen["all"][1]  # measured at the first stage's end
+    trained = [
+        key
+        for key in first
+        if first[key].is_floating_point() and not torch.equal(first[key], seen["all"][3][key])
+    ]
+    assert trained
+    for key in trained:
+        torch.testing.assert_close(seen["none"][3][key], first[key])
+        torch.testing.assert_close(seen["part"][3][key], 0.75 * first[key] + 0.25 * seen["all"][3][key])
+        torch.testing.assert_close(
+            between[key], (0.75 * before[key] + 0.25 * after[key]).half(), atol=2e-3, rtol=2e-3
+        )
+    for stage in (0, 1):  # in the first stage there is no way back yet
+        torch.testing.assert_close(seen["none"][stage], seen["all"][stage])
+
+
+def test_a_run_cut_off_on_the_way_ends_as_it_would_have(teach: Teach, tmp_path: Path) -> None:
+    def stop(line: str) -> None:
+        if '"step": 4,' in line:
+            raise Interrupted
+
+    share = {"tuned_share": 0.5}
+    teach(tmp_path / "whole", recipe=share)
+    with pytest.raises(Interrupted):
+        teach(tmp_path / "cut", recipe=share, say=stop)
+    teach(tmp_path / "cut", recipe=share, resume=True)
+    torch.testing.assert_close(_weights(tmp_path / "cut"), _weights(tmp_path / "whole"), rtol=0, atol=0)
+
+
 def test_a_judge_without_a_verdict_is_a_sentence(teach: Teach, tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="no mean that is a number at step 1"):
         teach(tmp_path, judge=lambda _: {"mean": float("nan")})

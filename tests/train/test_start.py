@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from salad.config import ModelConfig, ViTConfig
+from salad.config import ModelConfig, RouteConfig, ViTConfig
 from salad.errors import FetchError, MissingExtraError, WeightsError
 from salad.model.describer import Describer, build
 from salad.model.weights import load, write_folder
@@ -71,6 +71,21 @@ def test_a_whole_model_starts_the_aggregator_too(tmp_path: Path, vit: ModelConfi
     other = build(dataclasses.replace(vit, aggregator=dataclasses.replace(vit.aggregator, clusters=3)))
     with pytest.raises(WeightsError, match="has another aggregator"):
         start_backbone(other, str(folder))
+
+
+def test_a_layout_is_put_beside_a_model_there_is(tmp_path: Path, vit: ModelConfig) -> None:
+    given = build(vit, seed=4)
+    folder = write_folder(given, tmp_path / "model")
+    beside = RouteConfig(width=vit.backbone.width, salad=vit.aggregator, grid=2, cell_dim=3)
+    model = build(dataclasses.replace(vit, aggregator=beside))
+    cell = model.aggregator.cell.weight.clone()
+    start_backbone(model, str(folder))
+    photos = torch.rand(2, 3, 42, 42)
+    assert torch.equal(model.aggregator.salad(model.tokens(photos)), given(photos))
+    assert torch.equal(model.aggregator.cell.weight, cell)  # untrained, as it was
+    narrow = dataclasses.replace(beside, salad=dataclasses.replace(vit.aggregator, clusters=3))
+    with pytest.raises(WeightsError, match="has another aggregator"):
+        start_backbone(build(dataclasses.replace(vit, aggregator=narrow)), str(folder))
 
 
 def test_a_name_of_the_zoo_is_fetched(

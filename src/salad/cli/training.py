@@ -63,6 +63,8 @@ class Train:
     """In place of --tune-steps, times through all places; for --sampler one-city."""
     tuned_blocks: Number = None
     """The last blocks of the backbone, trained in the second stage."""
+    tuned_share: Share = None
+    """How far to go from the first stage's weights to the second's: 1 for all the way."""
     places: Number = None
     """Places in a batch."""
     views: Number = None

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 
 from salad.data.places import TrainingPlace
 from salad.errors import BenchmarkError, PhotoError
@@ -41,15 +41,27 @@ def precision_held_out(model: Describer, places: Sequence[TrainingPlace], shelf:
             f"none of the photos of {len(places)} places held out can be read, so there is nothing to choose by: "
             "check the data, or hold out none"
         )
-    shows = np.array([number for number, _ in seen])
     described = model.describe([photo for _, photo in seen], batch_size=32)
+    return precision_of(described, np.array([number for number, _ in seen]), [place.city for place in places])
+
+
+def precision_of(
+    described: Float32[np.ndarray, "photos dim"], shows: Int64[np.ndarray, " photos"], cities: Sequence[str]
+) -> dict[str, float]:
+    """The same of descriptors there are.
+
+    Args:
+        described: one row of length 1 for each photo, those of a place from its oldest to its newest.
+        shows: the number of the place that each photo shows.
+        cities: of each place.
+    """
     scores = described @ described.T
     found: dict[str, list[float]] = defaultdict(list)
-    for number, place in enumerate(places):
+    for number, city in enumerate(cities):
         for query in np.flatnonzero(shows == number)[-QUERIES:]:
             order = np.argsort(-scores[query], kind="stable")
             order = order[order != query]
-            found[place.city].append(average_precision(shows[order] == number))
+            found[city].append(average_precision(shows[order] == number))
     precision = {city: round(100 * float(np.mean(each)), 2) for city, each in sorted(found.items())}
     return {**precision, "mean": round(float(np.mean(list(precision.values()))), 2)}
 

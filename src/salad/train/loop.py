@@ -112,7 +112,7 @@ def train(
             record.tell("fitting the aggregator to the photos before its first step")
             photos = [photo for place in learnt for photo in place.photos]
             fit(model, photos, seed=recipe.seed, passed_over=lambda error: record.tell(f"left out: {error}"))
-        run = _Run(State(model), feed, record, tokens=tokens or to / TOKENS)
+        run = _Run(State(model, tuned_share=recipe.tuned_share), feed, record, tokens=tokens or to / TOKENS)
         run.begin(saved, resolved=runfolder.resolved(preset, places, start=start, steps=end), board=board)
         run.walk(head, end, progress=progress or _no_progress)
         return record.end(run.state)
@@ -156,6 +156,8 @@ class _Run:
             ("tune", head, end, self.recipe.tuned_blocks),
         ):
             if self.state.step < last:
+                if name == "tune" and self.state.step == first:
+                    self.state.remember()
                 stage = self._stage(name, first, last, blocks)
                 while self.state.step < last:
                     self._step(stage)

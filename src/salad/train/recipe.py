@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from salad.config import PRESETS as AGGREGATORS_OF_THE_PAPER
-from salad.config import VITS, LiteConfig, ModelConfig, Preprocessing, SaladConfig, ViTConfig
+from salad.config import VITS, LiteConfig, ModelConfig, Preprocessing, RouteConfig, SaladConfig, ViTConfig
 from salad.errors import ModelError
 
 Precision = Literal["bf16-mixed", "16-mixed", "32-true"]
@@ -34,6 +34,9 @@ class Recipe:
         last: share of the learning rate left at a stage's end.
         decay_over: steps over which the rate falls, where not over the whole stage; after them it stays.
         average: decay of the running mean of the weights, which is what is measured and kept; 0 for no mean.
+        tuned_share: how far the weights kept lie on the way from the end of the first stage to where the second has
+            come: 1 for all the way. A backbone knows less of photos unlike those it is tuned on, so somewhere on
+            the way is better at both. Source: Wortsman et al., "Robust fine-tuning of zero-shot models", 2022.
         clip: longest gradient of a step; a longer one is shortened to this. None for any.
         tuned_blocks: the last blocks of the backbone, trained in the second stage.
         held_out: share of the places kept for choosing, never trained on.
@@ -72,6 +75,7 @@ class Recipe:
     last: float = 0.05
     decay_over: int | None = None
     average: float = 0.99
+    tuned_share: float = 1.0
     clip: float | None = 1.0
     tuned_blocks: int = 8
     held_out: float = 0.2
@@ -94,9 +98,12 @@ class Recipe:
             value = getattr(self, name)
             if value is not None and not (least <= value < math.inf):
                 raise ModelError(f"{name} of the recipe is {value}: give {least} or more")
-        for name in ("last", "held_out", "average"):
-            if getattr(self, name) > 1 or (name != "last" and getattr(self, name) == 1):
-                raise ModelError(f"{name} of the recipe is {getattr(self, name)}: give a share below 1")
+        for name in ("last", "tuned_share", "held_out", "average"):
+            whole = name in ("last", "tuned_share")
+            if getattr(self, name) > 1 or (getattr(self, name) == 1 and not whole):
+                raise ModelError(
+                    f"{name} of the recipe is {getattr(self, name)}: give a share {'up to' if whole else 'below'} 1"
+                )
         if self.clip is not None and self.clip == 0:
             raise ModelError("clip of the recipe is 0, so that nothing is ever learnt: give more, or none")
         if self.full_steps and self.size is None:
@@ -147,6 +154,7 @@ _FROM_ZERO = (
         "warmup",
         "last",
         "average",
+        "tuned_share",
         "clip",
     ),
     *("tuned_blocks", "held_out", "cache_versions", "mine_every", "seed", "full_steps"),
@@ -208,7 +216,7 @@ PRESETS: dict[str, Preset] = {
             "is contained in the weights; see docs/model-card.md",
         ),
         start="imagenet",
-        recipe=Recipe(size=224, full_steps=100),
+        recipe=Recipe(size=224, full_steps=100, tuned_share=0.7),
     ),
     "salad-vits": Preset(
         model=ModelConfig(
@@ -221,6 +229,16 @@ PRESETS: dict[str, Preset] = {
         ),
         start="",  # a file given with --start
         recipe=Recipe(head_rate=5e-4, trunk_rate=3e-5, tuned_blocks=2),
+    ),
+    "salad-lite-route": Preset(
+        model=ModelConfig(
+            name="salad-lite-route",
+            backbone=LiteConfig(),
+            aggregator=RouteConfig(width=112, salad=LITE_HEAD, cell_dim=32),
+            preprocessing=LITE_PHOTO,
+        ),
+        start="salad-lite",
+        recipe=Recipe(head_steps=300, tune_steps=0, tuned_blocks=0, cache_versions=2),
     ),
     "paper": Preset(
         model=ModelConfig(name="paper", backbone=VITS["vitb14"], aggregator=AGGREGATORS_OF_THE_PAPER["full"]),
@@ -240,7 +258,8 @@ PRESETS: dict[str, Preset] = {
         recipe=Recipe(head_steps=1000, tune_steps=0, tuned_blocks=0, cache_versions=4, measure_every=100),
     ),
 }
-"""`salad-lite` is the model that ships and `salad-vits` what it was measured against; `paper` is docs/method.md's
+"""`salad-lite` is the model that ships, `salad-lite-route` puts a layout beside it for fixed viewpoints, and
+`salad-vits` is what it was measured against; `paper` is docs/method.md's
 recipe; `small` learns in minutes on two cores; `head` learns on cached tokens, the backbone never run again."""
 
 

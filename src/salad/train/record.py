@@ -75,7 +75,7 @@ class Record:
             self._board.draw(state.step, {"loss": loss, "rate": rate})
 
     def measure(self, state: State, *, stage: str, loss: float) -> None:
-        """Judge the mean weights, keep them if they are the best, and tell."""
+        """Judge the weights that would be kept, take them if they are the best, and tell."""
         if not self.first:
             return
         told: dict[str, Any] = {
@@ -84,14 +84,15 @@ class Record:
             "loss": round(loss, 4),
             "seconds": round(state.seconds, 1),
         }
+        kept = state.kept()
         score = float(state.step)  # nothing to choose by: the last
         if self.judge:
-            told[self.identity["judge"]] = figures = self.judge(state.average)
+            told[self.identity["judge"]] = figures = self.judge(kept)
             score = self._score(figures, state.step)
             if self._board:
                 self._board.draw(state.step, {f"score/{name}": value for name, value in figures.items()})
                 self._board.flush()
-        state.improved(score)
+        state.improved(score, kept)
         self.tell(runfolder.write_log(self.folder, told))
 
     def _score(self, figures: Mapping[str, float], step: int) -> float:
@@ -128,7 +129,7 @@ class Record:
             self._board.close()
         best = self.folder / runfolder.MODEL
         if self.first:
-            last = state.average.cpu().eval()
+            last = state.kept().cpu().eval()
             write_folder(last, self.folder / runfolder.LAST, dtype=torch.float16, overwrite=True)
             model = state.model.cpu().eval()
             model.load_state_dict(state.best["weights"])

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor
 
+from salad.config import RouteConfig, SaladConfig
 from salad.errors import MissingExtraError, WeightsError
+from salad.model.aggregators import Route
 from salad.model.describer import Describer
 from salad.model.trunks import own_names
 from salad.model.weights import read_folder, read_tensors
@@ -23,7 +26,7 @@ def start_backbone(model: Describer, start: str) -> None:
         model: whose backbone.
         start: `imagenet`, a bare backbone of the zoo such as `dinov2-vitb14`, a file with the backbone's names,
             or nothing for an untrained one. A whole model of ours (`salad-lite`, or a folder) starts the
-            aggregator too: so one goes on with a model on photos of one's own.
+            aggregator too: so one goes on with a model on photos of one's own, or puts a layout beside it.
 
     Raises:
         WeightsError: the file lacks a tensor of the backbone, or has one of another shape; or the model is of
@@ -63,14 +66,19 @@ def _path(start: str) -> Path:
 
 
 def _start_whole(model: Describer, folder: Path) -> None:
+    """Every weight of a model like this one; or of the SALAD model that a layout is put beside."""
     given = read_folder(folder)
-    for part in ("backbone", "aggregator"):
-        theirs, wanted = getattr(given.config, part), getattr(model.config, part)
-        if theirs != wanted:
-            raise WeightsError(
-                f"{folder} has another {part} ({theirs}) than what is to be trained ({wanted})"
-            )
-    model.load_state_dict(given.state_dict())
+    aggregator, wanted = model.aggregator, model.config.aggregator
+    if isinstance(wanted, RouteConfig) and isinstance(given.config.aggregator, SaladConfig):
+        aggregator, wanted = cast(Route, aggregator).salad, wanted.salad
+    for part, theirs, ours in (
+        ("backbone", given.config.backbone, model.config.backbone),
+        ("aggregator", given.config.aggregator, wanted),
+    ):
+        if theirs != ours:
+            raise WeightsError(f"{folder} has another {part} ({theirs}) than what is to be trained ({ours})")
+    model.backbone.load_state_dict(given.backbone.state_dict())
+    aggregator.load_state_dict(given.aggregator.state_dict())
 
 
 def imagenet_lite0() -> Path:

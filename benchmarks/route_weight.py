@@ -1,0 +1,68 @@
+"""How much a layout should weigh beside SALAD's descriptor: precision on the places held out of the training photos.
+
+    salad train --preset salad-lite-route --data ../shared/data/train --to runs/route
+    python benchmarks/route_weight.py runs/route/model [--data ../shared/data/train]
+
+Every weight is measured with the same trained parts, since each part of a descriptor can be taken apart again. Webcams
+(amos-15) and walks repeated from the same spots (grief-10) show what fixed viewpoints gain, street photos and a campus
+by phone (vcl-10) what changing ones lose. No evaluation photo takes part.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from salad.config import RouteConfig
+from salad.data.places import find_places, split
+from salad.model.describer import Describer
+from salad.model.weights import load
+from salad.train.choose import precision_of
+from salad.train.recipe import PRESETS
+from salad.train.shelf import Shelf
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
+WEIGHTS = (0.0, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+
+
+def parts_of(
+    model: Describer, described: Float32[np.ndarray, "photos dim"]
+) -> tuple[Float32[np.ndarray, "photos salad"], Float32[np.ndarray, "photos layout"]]:
+    """SALAD's descriptor and the layout, each of length 1 again."""
+    config = model.config.aggregator
+    if not isinstance(config, RouteConfig) or not config.weight:
+        raise SystemExit(f"{model.name} has no layout of any weight: give a model of salad-lite-route")
+    salad, layout = np.split(described, [config.salad.dim], axis=1)
+    unit = [part / np.linalg.norm(part, axis=1, keepdims=True) for part in (salad, layout)]
+    return unit[0], unit[1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", type=Path)
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--weights", type=float, nargs="+", default=WEIGHTS)
+    asked = parser.parse_args()
+    recipe = PRESETS["salad-lite-route"].recipe
+    _, held_out = split(find_places(asked.data), held_out=recipe.held_out, seed=recipe.seed)
+    model = load(asked.model)
+    with Shelf(model.preprocessing) as shelf:
+        photos = [shelf.array(photo) for place in held_out for photo in place.photos]
+    shows = np.repeat(np.arange(len(held_out)), [len(place.photos) for place in held_out])
+    cities = [place.city for place in held_out]
+    salad, layout = parts_of(model, model.describe(photos, batch_size=32))
+    print(f"{model.name} {model.fingerprint}, {len(photos)} photos of {len(held_out)} places held out")
+    for weight in asked.weights:
+        descriptors = np.hstack([salad, weight * layout]) / np.hypot(1, weight)
+        figures = precision_of(descriptors, shows, cities)
+        told = "  ".join(f"{city} {figure:5.1f}" for city, figure in figures.items())
+        print(f"weight {weight:4.2f}: {told}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
