@@ -72,9 +72,12 @@ def describers() -> Mapping[str, Callable[[], Any]]:
     """Name the models measured by default; each is made only when its turn comes."""
     return {
         "hog": _hog,
-        "salad-lite-untrained": _untrained_gem,
+        "salad-lite-untrained": lambda: _untrained("gem"),
+        "salad-lite-untrained-average": lambda: _untrained("average"),
         "salad-lite-untrained-grid": _untrained_grid,
+        "salad-lite-untrained-vlad": lambda: _untrained("vlad"),
         "salad-lite": lambda: _load("salad-lite"),
+        "salad-lite-route": lambda: _load("salad-lite-route"),
     }
 
 
@@ -84,10 +87,10 @@ def _hog() -> Any:
     return Hog()
 
 
-def _untrained_gem() -> Any:
-    from untrained import untrained_gem
+def _untrained(pooling: str) -> Any:
+    from untrained import untrained
 
-    return untrained_gem()
+    return untrained(pooling)
 
 
 def _untrained_grid() -> Any:

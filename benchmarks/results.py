@@ -1,7 +1,8 @@
-"""The grids on the photos beside the checkout, and the page that tells what came of them.
+"""The grids on the photos beside the checkout, and the page of what came of them and of the models that ship.
 
     python benchmarks/results.py run [GRID ...] [--sets NAME,...] [--to runs/grids] [-- OPTIONS OF salad compare]
-    python benchmarks/results.py write [GRID ...] [--from runs/grids] [--page docs/results.md]
+    python benchmarks/evaluate_shared.py --json runs/models.jsonl
+    python benchmarks/results.py write [GRID ...] [--from runs/grids] [--models runs/models.jsonl]
 
 `run` is `salad compare` with every evaluation set that is there, one folder a grid; interrupt it as you like, it
 goes on. `write` makes the page and its pictures from the folders alone: no figure on it is typed by hand, and what
@@ -18,6 +19,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from results_sets import section
 
 from salad.cli.beside import write_tables
 from salad.errors import SaladError
@@ -42,7 +45,9 @@ HEADINGS = {
 }
 HEAD = """# Results
 
-Written by `python benchmarks/results.py write` from the folders of the runs; do not edit it by hand.
+Written by `python benchmarks/results.py write` from what was measured; do not edit it by hand.
+"""
+TERMS = """## On equal terms
 
 Every row of a table is trained with the same budget, the same photos and the same seeds, and the best weights on
 places held out of the training photos are kept; no evaluation photo chooses anything. The budget is small and stands
@@ -82,11 +87,14 @@ def run(grids: Sequence[str], to: Path, sets: Sequence[str], more: Sequence[str]
             raise SystemExit(code)
 
 
-def page(grids: Sequence[str], runs: Path, pictures: Path) -> str:
+def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path) -> str:
     """The page's text; each grid's picture goes into `pictures`."""
     parts = [HEAD]
+    if models.is_file():
+        parts.append(section(models))
+    parts.append(TERMS)
     for grid in grids:
-        parts.append(f"## {HEADINGS[grid]}\n")
+        parts.append(f"### {HEADINGS[grid]}\n")
         folder = runs / grid
         try:
             table = write_tables(folder, grid, rows(grid))
@@ -121,6 +129,7 @@ def main() -> None:
     every = [name for name, *_ in SETS]
     parser.add_argument("--sets", default=",".join(every), help="with commas; all by default")
     parser.add_argument("--to", "--from", dest="runs", type=Path, default=ROOT / "runs" / "grids")
+    parser.add_argument("--models", type=Path, default=ROOT / "runs" / "models.jsonl")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "results.md")
     before, more = sys.argv[1:], []
     if "--" in before:
@@ -136,7 +145,7 @@ def main() -> None:
     if asked.what == "run":
         run(grids, asked.runs, sets, more)
     else:
-        text = page(grids, asked.runs, asked.page.parent)
+        text = page(grids, asked.runs, asked.models, asked.page.parent)
         asked.page.write_text(text, encoding="utf-8")
         print(asked.page)
 

@@ -1,13 +1,15 @@
 """The trunk that `salad-lite` starts from, before our training: what ImageNet alone knows of places.
 
-Two plain poolings, and both are shown, since neither wins everywhere: the generalised mean forgets where in
-the photo things stand, the grid keeps it. Taking the photo's mean token off first made the grid weaker.
+Plain poolings, and all are shown, since none wins everywhere: the means forget where in the photo things stand, the
+grid keeps it, VLAD sums what is left of each token beside the nearest word of a vocabulary. Taking the photo's mean
+token off first made the grid weaker.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,18 +17,30 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional as F
 
-from salad.config import GemConfig, Preprocessing
+from salad.config import AGGREGATORS, GemConfig, Preprocessing
+from salad.data.places import find_places
 from salad.model.describer import Describer, build
+from salad.model.fitting import fit, needs_fitting
 from salad.train.recipe import PRESETS
 from salad.train.start import start_backbone
 
+TRAINING = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
 
-def untrained_gem() -> Describer:
-    """Make the trunk with its tokens' generalised mean."""
+
+def untrained(pooling: str = "gem") -> Describer:
+    """Make the trunk with its tokens' generalised mean (`gem`), `average`, or `vlad` fitted to the training photos.
+
+    Raises:
+        SaladError: the training photos, which a vocabulary is taken from, are not beside the checkout.
+    """
     preset = PRESETS["salad-lite"]
-    pooled = GemConfig(width=preset.model.aggregator.width)
-    model = build(replace(preset.model, name="salad-lite-untrained", aggregator=pooled))
+    width = preset.model.aggregator.width
+    pooled = GemConfig(width=width) if pooling == "gem" else AGGREGATORS[pooling](width)
+    model = build(replace(preset.model, name=f"salad-lite-untrained-{pooling}", aggregator=pooled))
     start_backbone(model, preset.start)
+    if needs_fitting(model):
+        photos = [photo for place in find_places(TRAINING) for photo in place.photos]
+        fit(model, photos, seed=0)
     return model
 
 
@@ -37,7 +51,7 @@ class UntrainedGrid:
     grid = 4
 
     def __init__(self) -> None:
-        self.model = untrained_gem()
+        self.model = untrained()
         self.dim = self.grid**2 * self.model.dim
         self.fingerprint = f"{self.model.fingerprint}-grid{self.grid}"
 
