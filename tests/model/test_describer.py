@@ -236,6 +236,17 @@ def test_the_model_that_ships_is_known_by_the_fingerprint_it_has_always_had() ->
     assert salad.load("salad-lite").fingerprint == "9db03baa59687b7a"
 
 
+def test_the_route_variant_is_the_same_backbone_beside_a_layout() -> None:
+    route, lite = salad.load("salad-lite-route"), salad.load("salad-lite")
+    assert (route.fingerprint, route.dim) == ("1c2a40b14b51cae7", 2688)
+    for name, weight in lite.backbone.state_dict().items():
+        assert torch.equal(route.backbone.state_dict()[name], weight), name
+    photo = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
+    aside = np.roll(photo, 24, axis=1)  # the same things elsewhere in the picture
+    near, far = (float(np.prod(model.describe([photo, aside]), axis=0).sum()) for model in (lite, route))
+    assert far < near
+
+
 def test_parts_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ModelError, match="takes tokens of 24 numbers, but the backbone makes them of 16"):
         build(dataclasses.replace(VIT, aggregator=SceneConfig(24)))

@@ -78,6 +78,17 @@ _ENTRIES = (
         note="small, ships with the package, runs on any laptop",
     ),
     ZooEntry(
+        name="salad-lite-route",
+        url=None,
+        file="salad-lite-route",
+        layout="own",
+        dim=2688,
+        licence="Apache-2.0; trained on research photos, see docs/model-card.md",
+        image_size=320,
+        note="the same beside a 4 x 4 layout: for routes, webcams and trains alone, where the camera looks the same "
+        "way again",
+    ),
+    ZooEntry(
         name="dinov2-salad",
         url="https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt",
         file="dino_salad.ckpt",

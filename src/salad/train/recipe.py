@@ -203,6 +203,11 @@ PAPER = Recipe(
     size=224,
 )
 
+LITE_LICENCE = (
+    "Apache-2.0; the photos it learnt from are research data with terms of their own, none of which is contained in "
+    "the weights; see docs/model-card.md"
+)
+
 PRESETS: dict[str, Preset] = {
     "salad-lite": Preset(
         model=ModelConfig(
@@ -212,8 +217,7 @@ PRESETS: dict[str, Preset] = {
             preprocessing=LITE_PHOTO,
             provenance="EfficientNet-Lite0's ImageNet trunk up to block 10 under a SALAD head, trained with `salad "
             "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
-            licence="Apache-2.0; the photos it learnt from are research data with terms of their own, none of which "
-            "is contained in the weights; see docs/model-card.md",
+            licence=LITE_LICENCE,
         ),
         start="imagenet",
         recipe=Recipe(size=224, full_steps=100, tuned_share=0.7),
@@ -234,8 +238,11 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-lite-route",
             backbone=LiteConfig(),
-            aggregator=RouteConfig(width=112, salad=LITE_HEAD, cell_dim=32),
+            aggregator=RouteConfig(width=112, salad=LITE_HEAD, cell_dim=32, weight=2.0),
             preprocessing=LITE_PHOTO,
+            provenance="salad-lite with a 4 x 4 layout beside its descriptor, trained with `salad train --preset "
+            "salad-lite-route` on the same photos; see docs/model-card.md",
+            licence=LITE_LICENCE,
         ),
         start="salad-lite",
         recipe=Recipe(head_steps=300, tune_steps=0, tuned_blocks=0, cache_versions=2),
