@@ -37,6 +37,47 @@ def test_a_table_with_everything(tmp_path: Path) -> None:
     assert places.get(tmp_path / "c.jpg") is None
 
 
+def parquet(path: Path, rows: list[dict[str, object]]) -> Path:
+    arrow, tables = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    tables.write_table(arrow.Table.from_pylist(rows), path)
+    return path
+
+
+def test_a_table_may_be_parquet(tmp_path: Path) -> None:
+    time = datetime.fromisoformat("2024-05-31T14:00:00+02:00")
+    rows: list[dict[str, object]] = [
+        {"Path": "a.jpg", "lat": 1.5, "lon": -2, "heading": 370.0, "time": time, "weather": "fine"},
+        {"Path": "b, c.jpg", "lat": 3.0, "lon": 4, "heading": float("nan"), "time": None, "weather": None},
+    ]
+    places = PhotoTable.read(parquet(tmp_path / "places.parquet", rows))
+    assert places.get(tmp_path / "a.jpg") == Position(GeoPoint(1.5, -2), 10, time)
+    assert places.get(tmp_path / "b, c.jpg") == Position(GeoPoint(3, 4))
+    assert [row.line for row in places.rows] == [1, 2]
+    text = [{name: "" if value is None else str(value) for name, value in row.items()} for row in rows[:1]]
+    assert PhotoTable.read(parquet(tmp_path / "text.PARQUET", [*text])).get(tmp_path / "a.jpg") == places.get(
+        tmp_path / "a.jpg"
+    )
+
+
+def test_parquet_that_makes_no_sense_is_a_sentence(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    rows: list[dict[str, object]] = [
+        {"path": "a.jpg", "lat": 1.0, "lon": 2.0},
+        {"path": "b.jpg", "lat": 91.0, "lon": 2.0},
+    ]
+    with pytest.raises(PositionError, match=r"far\.parquet, line 2: .*91.*correct the row"):
+        PhotoTable.read(parquet(tmp_path / "far.parquet", rows))
+    with pytest.raises(PositionError, match="needs one column 'lon', but its columns are path, lat"):
+        PhotoTable.read(parquet(tmp_path / "short.parquet", [{"path": "a.jpg", "lat": 1.0}]))
+    with pytest.raises(PositionError, match="line 1: its path is empty"):
+        PhotoTable.read(parquet(tmp_path / "none.parquet", [{"path": None, "lat": 1.0, "lon": 2.0}]))
+    (tmp_path / "no.parquet").write_bytes(b"PAR1 or not")
+    with pytest.raises(PositionError, match="it is no Parquet"):
+        PhotoTable.read(tmp_path / "no.parquet")
+    with pytest.raises(PositionError, match=r"gone\.parquet cannot be read"):
+        PhotoTable.read(tmp_path / "gone.parquet")
+
+
 def test_which_photo_a_row_means(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("references/1.jpg", "queries/1.jpg", "lists/x"):
         (tmp_path / name).parent.mkdir(exist_ok=True)

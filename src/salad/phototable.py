@@ -1,8 +1,9 @@
-"""Positions of photos from a table: a CSV file with the columns `path,lat,lon[,heading,time]`."""
+"""Positions of photos from a table: CSV or Parquet with the columns `path,lat,lon[,heading,time]`."""
 
 from __future__ import annotations
 
 import csv
+import math
 import os
 import unicodedata
 from collections.abc import Iterable
@@ -14,6 +15,7 @@ from pathlib import Path
 from salad.errors import PositionError
 from salad.geo import GeoPoint
 from salad.geotags import Position
+from salad.parquet import rows
 
 _NEEDED = ("path", "lat", "lon")
 _LONG_NAME = 40  # characters of a column's name that a sentence tells
@@ -21,7 +23,7 @@ _LONG_NAME = 40  # characters of a column's name that a sentence tells
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table: its number in the file, the path as written, what it says."""
+    """One line of a table (one row of Parquet): its number in the file, the path as written, what it says."""
 
     line: int
     path: str
@@ -46,15 +48,18 @@ class PhotoTable:
     def read(cls, path: str | Path) -> PhotoTable:
         """Read a CSV table: UTF-8 (with or without a mark), commas, a header; more columns do no harm.
 
+        A name that ends in `.parquet` is read as Parquet, with the same columns; times may be timestamps.
+
         Raises:
+            MissingExtraError: it is Parquet, and pyarrow is not installed.
             PositionError: where the file or a column is missing, a row makes no sense (named by its line), or
                 a photo has two rows.
         """
         path = Path(path)
-        rows = _read_rows(path)
+        lines = _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_csv(path)
         by_place: dict[str, Row] = {}
         by_end: dict[str, Row] = {}
-        for row in rows:
+        for row in lines:
             place = _key(path.parent / row.path)
             if (first := by_place.setdefault(place, row)) is not row:
                 raise PositionError(
@@ -63,7 +68,7 @@ class PhotoTable:
             # A row whose photo is where it says speaks for that photo only.
             if not os.path.isabs(row.path) and not os.path.exists(place):  # noqa: PTH110, PTH117  # plain strings
                 by_end[_spelled(os.path.normpath(row.path))] = row
-        return cls(path, tuple(rows), by_place, by_end)
+        return cls(path, tuple(lines), by_place, by_end)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -114,22 +119,45 @@ def _spelled(path: str) -> str:
     return unicodedata.normalize("NFC", path)
 
 
-def _read_rows(path: Path) -> list[Row]:
+def _read_csv(path: Path) -> list[Row]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, strict=True, restval="")
             reader.fieldnames = _header(path, reader.fieldnames or [])
             return [_row(path, reader.line_num, fields) for fields in reader]
     except OSError as error:
-        raise PositionError(
-            f"the table {path} cannot be read ({error.strerror}): check the name and who may read it"
-        ) from error
+        raise _unreadable(path, error) from error
     except UnicodeDecodeError as error:
         raise PositionError(
             f"the table {path} is not UTF-8 text ({error.reason}): save it as CSV in UTF-8"
         ) from error
     except csv.Error as error:
         raise PositionError(f"the table {path} is not CSV ({error}): save it as CSV with commas") from error
+
+
+def _read_parquet(path: Path) -> list[Row]:
+    try:
+        return [
+            _row(path, number, dict(zip(_header(path, row), map(_text, row.values()), strict=True)))
+            for number, row in enumerate(rows(path), start=1)
+        ]
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except ValueError as error:
+        raise PositionError(f"the table {path} cannot be read: {error}; save it as Parquet or CSV") from error
+
+
+def _text(value: object) -> str:
+    """A value as CSV would hold it; whoever has no heading may write nothing or NaN."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return value.isoformat() if isinstance(value, datetime) else str(value)
+
+
+def _unreadable(path: Path, error: OSError) -> PositionError:
+    return PositionError(
+        f"the table {path} cannot be read ({error.strerror or error}): check the name and who may read it"
+    )
 
 
 def _header(path: Path, names: Iterable[str]) -> list[str]:

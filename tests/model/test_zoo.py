@@ -154,7 +154,9 @@ class TestTable:
         )
 
     def test_an_unknown_name(self) -> None:
-        with pytest.raises(WeightsError, match="'resnet': the zoo has salad-lite, salad-lite-route, dinov2-salad"):
+        with pytest.raises(
+            WeightsError, match="'resnet': the zoo has salad-lite, salad-lite-route, dinov2-salad"
+        ):
             fetch("resnet")
 
 

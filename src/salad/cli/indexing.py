@@ -38,7 +38,7 @@ class Index:
     model: ModelName = None
     """A name of the zoo, a folder or a published file; by default the index's own, else salad-lite."""
     table: Table = None
-    """A CSV with path,lat,lon[,heading,time] for photos that carry no position themselves."""
+    """A CSV or Parquet table path,lat,lon[,heading,time] for photos that carry no position themselves."""
     prune: bool = False
     """Forget the photos of the folders given whose files are gone; without it they are only told."""
     from_: Exported = None

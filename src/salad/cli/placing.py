@@ -30,7 +30,7 @@ class Places:
     to: Path
     """The table to write: a CSV with path,place,city,lat,lon,heading,time."""
     table: Table = None
-    """A CSV with path,lat,lon[,heading,time] for photos that carry no position themselves."""
+    """A CSV or Parquet table path,lat,lon[,heading,time] for photos that carry no position themselves."""
     cell: Metres = 10.0
     """Side of the squares that photos of one place lie in."""
     turn: Degrees = 45.0

@@ -13,12 +13,12 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from datetime import datetime
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from salad.errors import MissingExtraError, PositionError, StoreError
+from salad.errors import PositionError, StoreError
 from salad.geo import GeoPoint
+from salad.parquet import arrow, rows
 from salad.photos import Photo
 
 Form = Literal["csv", "parquet", "geojson"]
@@ -68,9 +68,9 @@ def _geojson_writer(path: Path) -> Iterator[Put]:
 
 @contextmanager
 def _parquet_writer(path: Path) -> Iterator[Put]:
-    arrow, parquet = _arrow("writing Parquet")
-    kinds = {name: arrow.float64() if name in _DEGREES else arrow.string() for name in COLUMNS}
-    schema = arrow.schema(list(kinds.items()))
+    pyarrow, parquet = arrow("writing Parquet")
+    kinds = {name: pyarrow.float64() if name in _DEGREES else pyarrow.string() for name in COLUMNS}
+    schema = pyarrow.schema(list(kinds.items()))
     with parquet.ParquetWriter(path, schema) as file:
 
         def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
@@ -79,7 +79,7 @@ def _parquet_writer(path: Path) -> Iterator[Put]:
                 raise StoreError(
                     f"{os.fsencode(path)!r} is not UTF-8, and Parquet holds no other names: export as csv"
                 )
-            file.write_table(arrow.Table.from_pylist(records, schema=schema))
+            file.write_table(pyarrow.Table.from_pylist(records, schema=schema))
 
         yield put
 
@@ -124,7 +124,7 @@ def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
         StoreError: If the table cannot be read, or a line of it makes no sense; it is named.
         MissingExtraError: If it is Parquet, and what reads it is not installed.
     """
-    readers = {".csv": _csv_records, ".parquet": _parquet_records, ".geojson": _geojson_records}
+    readers = {".csv": _csv_records, ".parquet": rows, ".geojson": _geojson_records}
     done = 0
     try:
         for record in readers[path.suffix.lower()](path):
@@ -147,15 +147,6 @@ def _csv_records(path: Path) -> Iterator[Record]:
             if None in record:
                 raise ValueError("it has more fields than the first line (put names with commas in quotes)")
             yield record
-
-
-def _parquet_records(path: Path) -> Iterator[Record]:
-    arrow, parquet = _arrow("reading Parquet")
-    try:
-        for batch in parquet.ParquetFile(path).iter_batches(batch_size=1000):
-            yield from batch.to_pylist()
-    except arrow.ArrowException as error:
-        raise ValueError(f"it is no Parquet ({error})") from error
 
 
 def _geojson_records(path: Path) -> Iterable[Record]:
@@ -195,10 +186,3 @@ def _degrees(value: object, name: str) -> float | None:
     if not abs(number) <= 1e6:
         raise ValueError(f"{name} {value!r} is not a number of degrees")
     return number
-
-
-def _arrow(doing: str) -> tuple[Any, Any]:
-    try:
-        return import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise MissingExtraError(doing, "parquet") from error

@@ -1,0 +1,40 @@
+"""Parquet tables, if pyarrow is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from salad.errors import MissingExtraError
+
+_AT_ONCE = 1000  # rows in memory
+
+
+def arrow(doing: str) -> tuple[Any, Any]:
+    """The Parquet part of pyarrow, behind pyarrow itself.
+
+    Raises:
+        MissingExtraError: it is not installed; `doing` says what for.
+    """
+    try:
+        return import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise MissingExtraError(doing, "parquet") from error
+
+
+def rows(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of a file, one after another, by the names of their columns.
+
+    Raises:
+        ValueError: it is no Parquet.
+        OSError: it cannot be read.
+        MissingExtraError: pyarrow is not installed.
+    """
+    pyarrow, parquet = arrow("reading Parquet")
+    try:
+        for batch in parquet.ParquetFile(path).iter_batches(batch_size=_AT_ONCE):
+            yield from batch.to_pylist()
+    except pyarrow.ArrowException as error:
+        raise ValueError(f"it is no Parquet ({error})") from error
