@@ -86,6 +86,10 @@ def _head(clusters: int, cluster_dim: int, scene_dim: int) -> dict[str, int]:
     return {"clusters": clusters, "cluster_dim": cluster_dim, "scene_dim": scene_dim}
 
 
+def _of(clusters: int, cluster_dim: int) -> dict[str, int]:
+    return {"clusters": clusters, "cluster_dim": cluster_dim}
+
+
 _AGGREGATORS = (
     Row("salad", "SALAD", paper=_three(92.2, 76.0, 92.1)),
     Row("netvlad", "NetVLAD", "netvlad", paper=_three(92.4, 71.8, 90.8)),
@@ -118,6 +122,11 @@ _PARTS = (
     Row("iterations-10", "10 iterations", change={"iterations": 10}),
     Row("fewer-tokens", "trained with fewer tokens", fewer=True),
     Row("fewer-no-dustbin", "fewer tokens and no dustbin", "salad-no-dustbin", fewer=True),
+    # A cluster takes one token's worth, the dustbin all others: the fewer clusters, the more it must take.
+    Row("few-clusters", "32 clusters of 64", change=_of(32, 64)),
+    Row("few-no-dustbin", "32 clusters of 64, no dustbin", "salad-no-dustbin", change=_of(32, 64)),
+    Row("many-clusters", "128 clusters of 16", change=_of(128, 16)),
+    Row("many-no-dustbin", "128 clusters of 16, no dustbin", "salad-no-dustbin", change=_of(128, 16)),
 )
 
 _SIZES = (
