@@ -3,9 +3,10 @@
     salad train --preset salad-lite-route --data ../shared/data/train --to runs/route
     python benchmarks/route_weight.py runs/route/model [--data ../shared/data/train]
 
-Every weight is measured with the same trained parts, since each part of a descriptor can be taken apart again. Webcams
-(amos-15) and walks repeated from the same spots (grief-10) show what fixed viewpoints gain, street photos and a campus
-by phone (vcl-10) what changing ones lose. No evaluation photo takes part.
+Every weight is measured with the same trained parts, since a descriptor can be taken apart again. Webcams (amos-15),
+walks repeated from the same spots (grief-10) and streets driven again (sfxl-240) show what a camera that looks the same
+way again gains, and the weight that ships is the best for their mean; a campus by phone (vcl-10) shows what a changing
+viewpoint loses. No evaluation photo takes part.
 """
 
 from __future__ import annotations

@@ -238,7 +238,7 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-lite-route",
             backbone=LiteConfig(),
-            aggregator=RouteConfig(width=112, salad=LITE_HEAD, cell_dim=32, weight=2.0),
+            aggregator=RouteConfig(width=112, salad=LITE_HEAD, cell_dim=32),
             preprocessing=LITE_PHOTO,
             provenance="salad-lite with a 4 x 4 layout beside its descriptor, trained with `salad train --preset "
             "salad-lite-route` on the same photos; see docs/model-card.md",
