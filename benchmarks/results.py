@@ -80,7 +80,8 @@ def run(grids: Sequence[str], to: Path, sets: Sequence[str], more: Sequence[str]
         folder = to / grid
         options = command(grid, folder, sets, more)
         folder.mkdir(parents=True, exist_ok=True)
-        shown = [option.replace(f"{ROOT.parent}/", "../") for option in options]  # from the checkout
+        # As it would be typed in the checkout.
+        shown = [option.replace(f"{ROOT}/", "").replace(f"{ROOT.parent}/", "../") for option in options]
         (folder / COMMAND).write_text(json.dumps(shown) + "\n", encoding="utf-8")
         code = subprocess.run([sys.executable, "-m", "salad.cli", *options], check=False).returncode
         if code:

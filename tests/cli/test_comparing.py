@@ -167,6 +167,17 @@ def test_the_tables_are_made_again_from_the_results_there_are(cli: Any, tmp_path
     assert "no result yet of medium" in ran.err
 
 
+def test_a_set_that_not_every_run_was_measured_on_is_left_out(cli: Any, tmp_path: Path) -> None:
+    both = {name: {"protocol": "frames ±0", "recall": {"1": 40.0, "5": 90.0}} for name in ("town", "field")}
+    put(tmp_path, an_outcome("small", 0, 50.0), an_outcome("full", 0, 90.0, benchmarks=both))
+    ran = cli("compare", "--grid", "sizes", "--to", tmp_path, "--table-only")
+    assert ran.code == 0
+    head = next(line for line in ran.out.splitlines() if "paper:" in line)
+    assert "town, frames" in head
+    assert "field" not in head
+    assert "field is left out: 1 of 2 runs were measured on it." in ran.out
+
+
 def test_a_table_of_nothing_is_refused(cli: Any, tmp_path: Path) -> None:
     said = refused(cli("compare", "--grid", "blocks", "--to", tmp_path / "none", "--table-only"))
     assert "holds no outcome of a run of the grid blocks" in said
@@ -205,7 +216,7 @@ def test_two_protocols_are_two_columns() -> None:
         "medium": [],
         "full": [],
     }
-    (line,) = lines_of(rows("sizes"), outcomes)
+    (line,) = lines_of(rows("sizes"), outcomes, {"town"})
     assert {str(column): by_k[1] for column, by_k in line.recalls.items()} == {
         "town, frames ±0": [50.0],
         "town, frames ±2": [70.0],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,22 +38,35 @@ def write_tables(to: Path, grid: str, rows: Sequence[Row]) -> str:
             f"{to} holds no outcome of a run of the grid {grid}: run it first, without --table-only"
         )
     check_terms(outcomes)
-    lines = lines_of(rows, outcomes)
-    table = markdown(lines, notes=told(outcomes))
+    everywhere, partly = measured_sets(outcomes)
+    lines = lines_of(rows, outcomes, everywhere)
+    table = markdown(lines, notes=[*told(outcomes), *partly])
     files = {"md": table + "\n", "csv": as_csv(lines), "svg": picture(lines, f"salad compare --grid {grid}")}
     for suffix, text in files.items():
         write_whole(to / f"{grid}.{suffix}", text.encode())
     return table
 
 
-def lines_of(rows: Sequence[Row], outcomes: Outcomes) -> list[Line]:
-    """One line for each row that came to an outcome, in the grid's order."""
+def measured_sets(outcomes: Outcomes) -> tuple[set[str], list[str]]:
+    """The sets that every run was measured on, and a sentence for each of the others: they are left out."""
+    every = [one for some in outcomes.values() for one in some]
+    runs = Counter(name for one in every for name in one.benchmarks)
+    partly = [
+        f"{name} is left out: {count} of {len(every)} runs were measured on it."
+        for name, count in runs.items()
+        if count < len(every)
+    ]
+    return {name for name, count in runs.items() if count == len(every)}, partly
+
+
+def lines_of(rows: Sequence[Row], outcomes: Outcomes, sets: Collection[str]) -> list[Line]:
+    """One line for each row that came to an outcome, in the grid's order, with what it reached on these sets."""
     from salad.evaluation.comparison import Line, Published
 
     return [
         Line(
             name=row.title,
-            recalls=_recalls(outcomes[row.name]),
+            recalls=_recalls(outcomes[row.name], sets),
             published={one.protocol: Published(one.percent, one.aside) for one in row.paper},
             seeds=len(outcomes[row.name]),
             facts=_facts(outcomes[row.name]),
@@ -62,12 +76,14 @@ def lines_of(rows: Sequence[Row], outcomes: Outcomes) -> list[Line]:
     ]
 
 
-def _recalls(outcomes: Sequence[Outcome]) -> dict[Column, dict[int, list[float]]]:
+def _recalls(outcomes: Sequence[Outcome], sets: Collection[str]) -> dict[Column, dict[int, list[float]]]:
     from salad.evaluation.comparison import Column
 
     found: dict[Column, dict[int, list[float]]] = {}
     for outcome in outcomes:
         for name, result in outcome.benchmarks.items():
+            if name not in sets:
+                continue
             by_k = found.setdefault(Column(name, result["protocol"]), {})
             for k, percent in result["recall"].items():
                 by_k.setdefault(int(k), []).append(float(percent))
