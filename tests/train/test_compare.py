@@ -214,6 +214,23 @@ def test_a_folder_of_another_run_is_refused_before_any_training(
     assert teacher.taught == []
 
 
+def test_what_an_older_version_wrote_without_a_setting_is_the_same_run(
+    places: list[TrainingPlace], tmp_path: Path
+) -> None:
+    compared(places, tmp_path).run([GEM], seeds=[0])
+    path = tmp_path / "gem" / "seed0" / "result.json"
+    told = json.loads(path.read_text())
+    del told["preset"]["recipe"]["tuned_share"]
+    path.write_text(json.dumps(told))
+    teacher = Teacher()
+    compared(places, tmp_path, teach=teacher).run([GEM], seeds=[0])
+    assert teacher.taught == []
+    told["preset"]["recipe"]["tuned_share"] = 0.5  # but another value of it is another run
+    path.write_text(json.dumps(told))
+    with pytest.raises(ModelError, match=r"tuned_share: 0\.5, not 1\.0"):
+        compared(places, tmp_path).run([GEM], seeds=[0])
+
+
 def test_other_places_are_another_run(places: list[TrainingPlace], tmp_path: Path) -> None:
     compared(places, tmp_path).run([GEM], seeds=[0])
     with pytest.raises(ModelError, match=r"data\.cities\.set: 6, not 5"):

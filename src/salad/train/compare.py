@@ -29,7 +29,7 @@ from salad.train.facts import counted, machine, milliseconds, seconds_of, summar
 from salad.train.grids import Row
 from salad.train.launching import versions
 from salad.train.loop import CHECKPOINT, MODEL, TOKENS, Progress, Say, train
-from salad.train.outcome import IDENTITY, Outcome, difference, folder_of, read, write
+from salad.train.outcome import IDENTITY, Outcome, difference, folder_of, read, recipe_of, write
 from salad.train.recipe import Preset
 from salad.train.shelf import Shelf
 from salad.train.start import start_backbone
@@ -121,7 +121,9 @@ class Comparison:
     def _found(self, run: _Run) -> Outcome | None:
         found = read(run.folder)
         if found is not None:
-            other = difference({key: getattr(found, key) for key in IDENTITY}, run.identity)
+            theirs = {key: getattr(found, key) for key in IDENTITY}
+            theirs["preset"] = {**found.preset, "recipe": recipe_of(found)}
+            other = difference(theirs, run.identity)
             if other:
                 raise ModelError(
                     f"{run.folder} holds the outcome of another run ({other}): choose another folder with --to"
