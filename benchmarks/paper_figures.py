@@ -98,6 +98,8 @@ def _of_grid(row: Row) -> dict[str, dict[int, float]]:
 
 
 def _dim(row: Row) -> int | None:
+    if not row.paper and row.change:  # a head of ours, of which the paper says nothing
+        return None
     sized = row.change if "clusters" in row.change else None
     if sized is None and row.aggregator in _LIKE_FULL:
         sized = next(other.change for other in GRIDS["sizes"] if other.name == "full")

@@ -181,6 +181,7 @@ class TestFigures:
         )
         assert dims["gem"] is None
         assert dims["no-scene"] is None
+        assert dims["many-clusters"] is None  # ours alone
         assert claims["aggregators", "cosplace"].aside
 
 
