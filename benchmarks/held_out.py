@@ -1,0 +1,41 @@
+"""The figure that the models which ship were chosen by: precision on the places held out of the training photos.
+
+    python benchmarks/held_out.py [MODEL ...] [--data ../shared/data/train]
+
+As `salad train` prints it on its way, in float32: the mean over the sets of the mean average precision with which the
+newest photos of each place find the others of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from salad.data.places import find_places, split
+from salad.model.weights import load
+from salad.train.choose import precision_held_out
+from salad.train.recipe import PRESETS
+from salad.train.shelf import Shelf
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("models", nargs="*", default=["salad-lite", "salad-lite-route"], metavar="MODEL")
+    parser.add_argument("--data", type=Path, default=DATA)
+    asked = parser.parse_args()
+    recipe = PRESETS["salad-lite"].recipe
+    _, held_out = split(find_places(asked.data), held_out=recipe.held_out, seed=recipe.seed)
+    for name in asked.models:
+        model = load(name)
+        with Shelf(model.preprocessing) as shelf:
+            figures = precision_held_out(model, held_out, shelf)
+        told = "  ".join(f"{city} {figure:.1f}" for city, figure in figures.items())
+        print(f"{name} {model.fingerprint}: {told}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
