@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from salad.data.benchmark import Benchmark, from_frames, from_radius, from_truth
+from salad.cli.comparing import benchmark
+from salad.data.benchmark import Benchmark
 from salad.errors import SaladError
 from salad.evaluation import Result, evaluate
 
@@ -31,40 +32,36 @@ KS = (1, 5, 10, 20)
 
 @dataclass(frozen=True)
 class Set:
-    """One evaluation set: whether its viewpoint changes, and how to read it from its folder."""
+    """One evaluation set: whether its viewpoint changes, its two folders, and the rule that says what is right."""
 
     name: str
     viewpoint: str
-    read: Callable[[Path], Benchmark]
+    references: str
+    queries: str
+    rule: str
 
+    def options(self, data: Path) -> tuple[str, Path, Path, str]:
+        """What follows `--benchmark`, for a folder of such sets."""
+        folder = data / self.name
+        kind, _, value = self.rule.partition(":")
+        right = f"truth:{folder / value}" if kind == "truth" else self.rule
+        return self.name, folder / self.references, folder / self.queries, right
 
-def _truth(folder: Path) -> Benchmark:
-    return from_truth(folder / "database", folder / "queries", folder / "gt.csv", name=folder.name)
-
-
-def _gardens_point(folder: Path) -> Benchmark:
-    return from_frames(folder / "day_left", folder / "day_right", 2, name=folder.name)
-
-
-def _nordland(folder: Path) -> Benchmark:
-    return from_frames(folder / "database", folder / "queries", 1, name=folder.name)
-
-
-def _sfxl(folder: Path) -> Benchmark:
-    test = folder / "images" / "test"
-    return from_radius(test / "database", test / "queries", 25, name=folder.name)
+    def read(self, data: Path) -> Benchmark:
+        """The set, from a folder of such sets."""
+        return benchmark(*self.options(data))
 
 
 # A camera that looks the same way again hides what a descriptor makes of another viewpoint, so the two kinds
 # are never averaged. sfxl-30 is of that kind too: years apart, but one direction, and the right first
 # answers of HOG stand 1.8 m (median) from their query.
 SETS = (
-    Set("gardens-point", "changing", _gardens_point),
-    Set("essex", "changing", _truth),
-    Set("corridor", "changing", _truth),
-    Set("toy", "changing", _truth),
-    Set("sfxl-30", "fixed", _sfxl),
-    Set("nordland64", "fixed", _nordland),
+    Set("gardens-point", "changing", "day_left", "day_right", "frames:2"),
+    Set("essex", "changing", "database", "queries", "truth:gt.csv"),
+    Set("corridor", "changing", "database", "queries", "truth:gt.csv"),
+    Set("toy", "changing", "database", "queries", "truth:gt.csv"),
+    Set("sfxl-30", "fixed", "images/test/database", "images/test/queries", "radius:25"),
+    Set("nordland64", "fixed", "database", "queries", "frames:1"),
 )
 
 
@@ -113,7 +110,7 @@ def measure(models: Sequence[str], data: Path, *, sets: Sequence[Set] = SETS) ->
     benchmarks = []
     for each in sets:
         if (data / each.name).is_dir():
-            benchmarks.append((each, each.read(data / each.name)))
+            benchmarks.append((each, each.read(data)))
         else:
             print(f"{each.name}: not at {data}, passed over", file=sys.stderr)
     for name in models:
@@ -122,9 +119,9 @@ def measure(models: Sequence[str], data: Path, *, sets: Sequence[Set] = SETS) ->
         except SaladError as error:
             print(f"{name}: passed over, {error}", file=sys.stderr)
             continue
-        for each, benchmark in benchmarks:
+        for each, read in benchmarks:
             print(f"{name} on {each.name} ...", file=sys.stderr)
-            yield name, each, evaluate(benchmark, model, ks=KS)
+            yield name, each, evaluate(read, model, ks=KS)
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -70,7 +70,7 @@ def main() -> None:
             if not (asked.data / each.name).is_dir():
                 print(f"{each.name}: not at {asked.data}, passed over", file=sys.stderr)
                 continue
-            benchmark = each.read(asked.data / each.name)
+            benchmark = each.read(asked.data)
             queries, references = (described(model, p) for p in (benchmark.queries, benchmark.references))
             changed, ties, most = compared(queries, references)
             print(

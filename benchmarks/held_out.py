@@ -9,6 +9,7 @@ newest photos of each place find the others of it.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 from salad.data.places import find_places, split
@@ -18,6 +19,11 @@ from salad.train.recipe import PRESETS
 from salad.train.shelf import Shelf
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
+
+
+def told(figures: Mapping[str, float]) -> str:
+    """Precision by set, on one line."""
+    return "  ".join(f"{city} {figure:.1f}" for city, figure in figures.items())
 
 
 def main() -> None:
@@ -33,8 +39,7 @@ def main() -> None:
         model = load(name)
         with Shelf(model.preprocessing) as shelf:
             figures = precision_held_out(model, held_out, shelf)
-        told = "  ".join(f"{city} {figure:.1f}" for city, figure in figures.items())
-        print(f"{name} {model.fingerprint}: {told}", flush=True)
+        print(f"{name} {model.fingerprint}: {told(figures)}", flush=True)
 
 
 if __name__ == "__main__":

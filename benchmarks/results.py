@@ -20,6 +20,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from evaluate_shared import SETS as EVERY
 from results_sets import section
 
 from salad.cli.beside import write_tables
@@ -29,14 +30,7 @@ from salad.train.grids import GRIDS, rows
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared" / "data"
 COMMAND = "command.json"
-# As benchmarks/evaluate_shared.py reads them; `toy` is by eye and too small to tell rows apart.
-SETS = (
-    ("gardens-point", "day_left", "day_right", "frames:2"),
-    ("essex", "database", "queries", "truth:gt.csv"),
-    ("corridor", "database", "queries", "truth:gt.csv"),
-    ("sfxl-30", "images/test/database", "images/test/queries", "radius:25"),
-    ("nordland64", "database", "queries", "frames:1"),
-)
+SETS = [each for each in EVERY if each.name != "toy"]  # by eye, and too small to tell rows apart
 HEADINGS = {
     "aggregators": "One backbone, other aggregators",
     "blocks": "How much of the backbone is trained",
@@ -61,16 +55,14 @@ in sfxl-30 and nordland64 the camera looks the same way again.
 def command(grid: str, to: Path, sets: Sequence[str], more: Sequence[str]) -> list[str]:
     """`salad compare` with those of the sets that are there."""
     options = ["compare", "--grid", grid, "--to", str(to), "--data", str(SHARED / "train")]
-    for name, references, queries, rule in SETS:
-        if name not in sets:
+    for each in SETS:
+        if each.name not in sets:
             continue
-        folder = SHARED / "eval" / name
-        if not folder.is_dir():
-            print(f"{name}: not at {folder}, passed over", file=sys.stderr)
+        folder = SHARED / "eval"
+        if not (folder / each.name).is_dir():
+            print(f"{each.name}: not at {folder}, passed over", file=sys.stderr)
             continue
-        kind, _, value = rule.partition(":")
-        right = f"truth:{folder / value}" if kind == "truth" else rule
-        options += ["--benchmark", name, str(folder / references), str(folder / queries), right]
+        options += ["--benchmark", *map(str, each.options(folder))]
     return [*options, *more]
 
 
@@ -127,7 +119,7 @@ def main() -> None:
     )
     parser.add_argument("what", choices=("run", "write"))
     parser.add_argument("grids", nargs="*", metavar="GRID", help=f"of {', '.join(GRIDS)}; all by default")
-    every = [name for name, *_ in SETS]
+    every = [each.name for each in SETS]
     parser.add_argument("--sets", default=",".join(every), help="with commas; all by default")
     parser.add_argument("--to", "--from", dest="runs", type=Path, default=ROOT / "runs" / "grids")
     parser.add_argument("--models", type=Path, default=ROOT / "runs" / "models.jsonl")

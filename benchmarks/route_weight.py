@@ -15,6 +15,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from held_out import DATA, told
 from jaxtyping import Float32
 
 from salad.config import RouteConfig
@@ -25,7 +26,6 @@ from salad.train.choose import precision_of
 from salad.train.recipe import PRESETS
 from salad.train.shelf import Shelf
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
 WEIGHTS = (0.0, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 
 
@@ -61,8 +61,7 @@ def main() -> None:
     for weight in asked.weights:
         descriptors = np.hstack([salad, weight * layout]) / np.hypot(1, weight)
         figures = precision_of(descriptors, shows, cities)
-        told = "  ".join(f"{city} {figure:5.1f}" for city, figure in figures.items())
-        print(f"weight {weight:4.2f}: {told}", flush=True)
+        print(f"weight {weight:4.2f}: {told(figures)}", flush=True)
 
 
 if __name__ == "__main__":

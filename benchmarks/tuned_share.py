@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from held_out import DATA, told
 
 from salad.data.places import find_places, split
 from salad.model.describer import build
@@ -24,7 +25,6 @@ from salad.train.shelf import Shelf
 from salad.train.state import State
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data" / "train"
 SHARES = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
 
 
@@ -57,10 +57,7 @@ def main() -> None:
             state.take_up(saved)
             kept = state.kept().eval()
             there = [precision_held_out(kept, some, shelf) for some in (unknown, held_out)]
-            told = " | ".join(
-                "  ".join(f"{city} {figure:.1f}" for city, figure in each.items()) for each in there
-            )
-            print(f"share {share:.2f}: {told}", flush=True)
+            print(f"share {share:.2f}: {' | '.join(map(told, there))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from held_out import DATA
 from numpy.typing import NDArray
 from torch.nn import functional as F
 
@@ -23,8 +23,6 @@ from salad.model.describer import Describer, build
 from salad.model.fitting import fit, needs_fitting
 from salad.train.recipe import PRESETS
 from salad.train.start import start_backbone
-
-TRAINING = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
 
 
 def untrained(pooling: str = "gem") -> Describer:
@@ -39,7 +37,7 @@ def untrained(pooling: str = "gem") -> Describer:
     model = build(replace(preset.model, name=f"salad-lite-untrained-{pooling}", aggregator=pooled))
     start_backbone(model, preset.start)
     if needs_fitting(model):
-        photos = [photo for place in find_places(TRAINING) for photo in place.photos]
+        photos = [photo for place in find_places(DATA) for photo in place.photos]
         fit(model, photos, seed=0)
     return model
 

@@ -6,7 +6,7 @@ import csv
 import math
 import os
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -137,14 +137,18 @@ def _read_csv(path: Path) -> list[Row]:
 
 def _read_parquet(path: Path) -> list[Row]:
     try:
-        return [
-            _row(path, number, dict(zip(_header(path, row), map(_text, row.values()), strict=True)))
-            for number, row in enumerate(rows(path), start=1)
-        ]
+        return [_row(path, number, fields) for number, fields in enumerate(_fields(path), start=1)]
     except OSError as error:
         raise _unreadable(path, error) from error
     except ValueError as error:
         raise PositionError(f"the table {path} cannot be read: {error}; save it as Parquet or CSV") from error
+
+
+def _fields(path: Path) -> Iterator[dict[str, str]]:
+    header: list[str] = []
+    for row in rows(path):
+        header = header or _header(path, row)  # every row has the same columns
+        yield dict(zip(header, map(_text, row.values()), strict=True))
 
 
 def _text(value: object) -> str:

@@ -29,8 +29,8 @@ from salad.train.facts import counted, machine, milliseconds, seconds_of, summar
 from salad.train.grids import Row
 from salad.train.launching import versions
 from salad.train.loop import CHECKPOINT, MODEL, TOKENS, Progress, Say, train
-from salad.train.outcome import IDENTITY, Outcome, difference, folder_of, read, recipe_of, write
-from salad.train.recipe import Preset
+from salad.train.outcome import IDENTITY, Outcome, difference, folder_of, read, write
+from salad.train.recipe import Preset, in_full
 from salad.train.shelf import Shelf
 from salad.train.start import start_backbone
 from salad.train.terms import Terms, check, digest, preset
@@ -122,7 +122,7 @@ class Comparison:
         found = read(run.folder)
         if found is not None:
             theirs = {key: getattr(found, key) for key in IDENTITY}
-            theirs["preset"] = {**found.preset, "recipe": recipe_of(found)}
+            theirs["preset"] = {**found.preset, "recipe": in_full(found.preset["recipe"])}
             other = difference(theirs, run.identity)
             if other:
                 raise ModelError(

@@ -82,12 +82,8 @@ def _msls(percent: float) -> tuple[Theirs, ...]:
     return (Theirs("msls-val-740", percent),)
 
 
-def _head(clusters: int, cluster_dim: int, scene_dim: int) -> dict[str, int]:
-    return {"clusters": clusters, "cluster_dim": cluster_dim, "scene_dim": scene_dim}
-
-
-def _of(clusters: int, cluster_dim: int) -> dict[str, int]:
-    return {"clusters": clusters, "cluster_dim": cluster_dim}
+def _head(clusters: int, cluster_dim: int, **more: int) -> dict[str, int]:
+    return {"clusters": clusters, "cluster_dim": cluster_dim, **more}
 
 
 _AGGREGATORS = (
@@ -123,16 +119,16 @@ _PARTS = (
     Row("fewer-tokens", "trained with fewer tokens", fewer=True),
     Row("fewer-no-dustbin", "fewer tokens and no dustbin", "salad-no-dustbin", fewer=True),
     # A cluster takes one token's worth, the dustbin all others: the fewer clusters, the more it must take.
-    Row("few-clusters", "32 clusters of 64", change=_of(32, 64)),
-    Row("few-no-dustbin", "32 clusters of 64, no dustbin", "salad-no-dustbin", change=_of(32, 64)),
-    Row("many-clusters", "128 clusters of 16", change=_of(128, 16)),
-    Row("many-no-dustbin", "128 clusters of 16, no dustbin", "salad-no-dustbin", change=_of(128, 16)),
+    Row("few-clusters", "32 clusters of 64", change=_head(32, 64)),
+    Row("few-no-dustbin", "32 clusters of 64, no dustbin", "salad-no-dustbin", change=_head(32, 64)),
+    Row("many-clusters", "128 clusters of 16", change=_head(128, 16)),
+    Row("many-no-dustbin", "128 clusters of 16, no dustbin", "salad-no-dustbin", change=_head(128, 16)),
 )
 
 _SIZES = (
-    Row("small", "small", change=_head(16, 32, 32), paper=_five(70.8, 89.3, 61.2, 93.0, 88.5)),
-    Row("medium", "medium", change=_head(32, 64, 64), paper=_five(73.7, 90.5, 70.4, 94.8, 89.5)),
-    Row("full", "full", change=_head(64, 128, 256), paper=_five(75.0, 92.2, 76.0, 95.1, 92.1)),
+    Row("small", "small", change=_head(16, 32, scene_dim=32), paper=_five(70.8, 89.3, 61.2, 93.0, 88.5)),
+    Row("medium", "medium", change=_head(32, 64, scene_dim=64), paper=_five(73.7, 90.5, 70.4, 94.8, 89.5)),
+    Row("full", "full", change=_head(64, 128, scene_dim=256), paper=_five(75.0, 92.2, 76.0, 95.1, 92.1)),
 )
 
 GRIDS: Mapping[Grid, tuple[Row, ...]] = MappingProxyType(

@@ -167,7 +167,7 @@ class _Run:
     def _stage(self, name: str, first: int, end: int, blocks: int) -> _Stage:
         model = self.state.model
         model.backbone.train_last(blocks)
-        cached = blocks == 0 and self.recipe.cache_versions > 0
+        cached = self.recipe.cached(blocks)
         feed = TokensCache(model, self.feed, folder=self.tokens) if cached else self.feed
         module, optimizer = self.fabric.setup(
             model.aggregator if cached else model, optimizer_of(model, self.recipe)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from salad.errors import ModelError
-from salad.train.recipe import Recipe
+from salad.train.recipe import in_full
 from salad.wholefile import write_whole
 
 FILE, FORMAT = "result.json", 1
@@ -120,14 +120,9 @@ def read_all(to: Path, rows: tuple[str, ...]) -> dict[str, list[Outcome]]:
     }
 
 
-def recipe_of(outcome: Outcome) -> dict[str, Any]:
-    """Its recipe in full: settings that an older version did not know stood at their defaults."""
-    return {**asdict(Recipe()), **outcome.preset["recipe"]}
-
-
 def terms_of(outcome: Outcome) -> dict[str, Any]:
     """What must be the same in all runs of one table; no steps where the run took none."""
-    model, recipe = outcome.preset["model"], recipe_of(outcome)
+    model, recipe = outcome.preset["model"], in_full(outcome.preset["recipe"])
     told = {
         "photos": model["preprocessing"],
         "backbone": model["backbone"],

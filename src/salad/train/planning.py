@@ -93,7 +93,7 @@ def plan(
     for stage in stages:
         model.backbone.train_last(stage.blocks)
         shown = replace(recipe, size=None, full_steps=0) if stage.full else recipe
-        cost = measured(model, shown, fabric=fabric, cached=_cached(recipe, stage.blocks))
+        cost = measured(model, shown, fabric=fabric, cached=recipe.cached(stage.blocks))
         told[stage.name] = _told(stage, cost, processes=devices * nodes)
         if not stage.full:
             told |= {
@@ -133,15 +133,11 @@ def _stages(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> list[_Sta
     left = recipe.full_steps  # the last ones, whichever stage they fall into
     walked: list[_Stage] = []
     for name, steps, blocks in (("tune", tune, recipe.tuned_blocks), ("head", head, 0)):
-        full = 0 if _cached(recipe, blocks) else left if steps is None else min(left, steps)
+        full = 0 if recipe.cached(blocks) else left if steps is None else min(left, steps)
         left -= full
         rest = None if steps is None else steps - full
         walked = [_Stage(name, rest, blocks), _Stage(f"{name}, full size", full, blocks, full=True), *walked]
     return [stage for stage in walked if stage.steps != 0]
-
-
-def _cached(recipe: Recipe, blocks: int) -> bool:
-    return blocks == 0 and recipe.cache_versions > 0
 
 
 def _told(stage: _Stage, cost: Cost, *, processes: int) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 from salad.config import PRESETS as AGGREGATORS_OF_THE_PAPER
 from salad.config import VITS, LiteConfig, ModelConfig, Preprocessing, RouteConfig, SaladConfig, ViTConfig
@@ -127,6 +128,10 @@ class Recipe:
         """Photos in a batch."""
         return self.places * self.views
 
+    def cached(self, blocks: int) -> bool:
+        """Whether a stage that trains so many blocks learns from tokens kept on disk."""
+        return blocks == 0 and self.cache_versions > 0
+
     def of_steps(self, steps: int) -> Recipe:
         """The same recipe over so many steps in all, shared between the stages as before.
 
@@ -142,6 +147,11 @@ class Recipe:
         return replace(
             self, head_steps=head, tune_steps=steps - head, epochs=None, decay_over=decay, full_steps=full
         )
+
+
+def in_full(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A recipe as it was written down, with what an older version did not know at its default."""
+    return {**asdict(Recipe()), **settings}
 
 
 _FROM_ZERO = (

@@ -21,7 +21,7 @@ from salad.config import ModelConfig
 from salad.data.places import TrainingPlace
 from salad.errors import ModelError, TrainingError
 from salad.train.launching import versions
-from salad.train.recipe import Preset, Recipe
+from salad.train.recipe import Preset, Recipe, in_full
 from salad.wholefile import write_whole
 
 CHECKPOINT, LOG, CONFIG, MODEL, LAST = "last.ckpt", "log.jsonl", "config.json", "model", "last"
@@ -108,11 +108,8 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _compare(path: Path, saved: Mapping[str, Any], mine: Mapping[str, Any]) -> None:
     theirs = {**_YOUNGER, **{key: value for key, value in saved.items() if key in mine}}
-    older = {
-        **asdict(Recipe()),
-        **theirs.get("recipe", {}),
-    }  # settings it does not know stood at their defaults
-    theirs["recipe"] = {name: value for name, value in older.items() if name not in _NO_MATTER}
+    recipe = in_full(theirs.get("recipe", {}))
+    theirs["recipe"] = {name: value for name, value in recipe.items() if name not in _NO_MATTER}
     with suppress(ModelError, KeyError):
         theirs["architecture"] = ModelConfig.from_dict(theirs["architecture"]).as_dict()
     for key, wanted in mine.items():
