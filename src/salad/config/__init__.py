@@ -23,6 +23,7 @@ from salad.config.backbones import (
     ConvNextConfig,
     ConvNextSize,
     LiteConfig,
+    LiteKind,
     ResNetConfig,
     ViTConfig,
 )
@@ -63,6 +64,7 @@ __all__ = [
     "CosPlaceConfig",
     "GemConfig",
     "LiteConfig",
+    "LiteKind",
     "MixVprConfig",
     "ModelConfig",
     "NetVladConfig",

@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 from salad.errors import ModelError
 
 ConvNextSize = Literal["tiny", "base"]
+LiteKind = Literal["lite0", "lite2"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +37,13 @@ class ViTConfig:
 
 @dataclass(frozen=True, slots=True)
 class LiteConfig:
-    """EfficientNet-Lite0's trunk, cut after `blocks` of its 16 blocks (11 of them: stride 16, 112 channels)."""
+    """The trunk of EfficientNet-Lite0 or Lite2, cut after `blocks` of its 16 or 21 blocks.
+
+    The last cut of stride 16 is after 11 blocks of Lite0 (112 channels) and after 15 of Lite2 (120 channels).
+    """
 
     blocks: int = 11
-    kind: Literal["lite0"] = "lite0"
+    kind: LiteKind = "lite0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +91,7 @@ BackboneConfig = ViTConfig | LiteConfig | ResNetConfig | ConvNextConfig
 BACKBONE_KINDS: dict[str, Any] = {
     "vit": ViTConfig,
     "lite0": LiteConfig,
+    "lite2": LiteConfig,
     "resnet50": ResNetConfig,
     "convnext": ConvNextConfig,
 }

