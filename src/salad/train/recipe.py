@@ -186,7 +186,9 @@ class Preset:
 
 
 # Twice the paper's clusters of half the numbers: as long a descriptor, but the dustbin leaves twice the tokens.
-LITE_HEAD = SaladConfig(width=112, clusters=128, cluster_dim=16, scene_dim=128, hidden=256, dropout=0.3)
+LITE_TRUNK = LiteConfig(blocks=15, kind="lite2")
+LITE_HEAD = SaladConfig(width=120, clusters=128, cluster_dim=64)
+SMALL_HEAD = SaladConfig(width=112, clusters=128, cluster_dim=16, scene_dim=128, hidden=256)
 LITE_PHOTO = Preprocessing(height=320, width=320, mean=(127 / 255,) * 3, std=(128 / 255,) * 3)
 SMALL_PHOTO = replace(LITE_PHOTO, height=224, width=224)
 PAPER = Recipe(
@@ -222,15 +224,15 @@ PRESETS: dict[str, Preset] = {
     "salad-lite": Preset(
         model=ModelConfig(
             name="salad-lite",
-            backbone=LiteConfig(),
+            backbone=LITE_TRUNK,
             aggregator=LITE_HEAD,
             preprocessing=LITE_PHOTO,
-            provenance="EfficientNet-Lite0's ImageNet trunk up to block 10 under a SALAD head, trained with `salad "
+            provenance="EfficientNet-Lite2's ImageNet trunk up to block 14 under a SALAD head, trained with `salad "
             "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
             licence=LITE_LICENCE,
         ),
         start="imagenet",
-        recipe=Recipe(size=224, full_steps=100, tuned_share=0.7),
+        recipe=Recipe(head_steps=100, tune_steps=400, size=224, full_steps=60, tuned_share=0.7),
     ),
     "salad-vits": Preset(
         model=ModelConfig(
@@ -247,8 +249,8 @@ PRESETS: dict[str, Preset] = {
     "salad-lite-route": Preset(
         model=ModelConfig(
             name="salad-lite-route",
-            backbone=LiteConfig(),
-            aggregator=RouteConfig(width=112, salad=LITE_HEAD, cell_dim=32),
+            backbone=LITE_TRUNK,
+            aggregator=RouteConfig(width=120, salad=LITE_HEAD, cell_dim=32),
             preprocessing=LITE_PHOTO,
             provenance="salad-lite with a 4 x 4 layout beside its descriptor, trained with `salad train --preset "
             "salad-lite-route` on the same photos; see docs/model-card.md",
@@ -264,13 +266,13 @@ PRESETS: dict[str, Preset] = {
     ),
     "small": Preset(
         model=ModelConfig(
-            name="small", backbone=LiteConfig(), aggregator=LITE_HEAD, preprocessing=SMALL_PHOTO
+            name="small", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=SMALL_PHOTO
         ),
         start="imagenet",
         recipe=Recipe(head_steps=40, tune_steps=160, trunk_rate=4e-4, warmup=10, average=0.97),
     ),
     "head": Preset(
-        model=ModelConfig(name="head", backbone=LiteConfig(), aggregator=LITE_HEAD, preprocessing=LITE_PHOTO),
+        model=ModelConfig(name="head", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=LITE_PHOTO),
         start="imagenet",
         recipe=Recipe(head_steps=1000, tune_steps=0, tuned_blocks=0, cache_versions=4, measure_every=100),
     ),
