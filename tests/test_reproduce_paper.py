@@ -451,7 +451,7 @@ class TestRows:
         sets = ["--sped", str(data / "SPED"), "--to", str(to)]
         assert main([*sets, "--backbone", "salad-lite", "--only", "salad-lite"]) == 0
         (one,) = json.loads((to / "reproduction.json").read_text())["figures"]
-        assert (one["result"]["recall"]["1"], one["dim"]) == (100.0, 2176)
+        assert (one["result"]["recall"]["1"], one["dim"]) == (100.0, 8448)
 
     def test_a_file_that_is_another_model(self, data: Path, tmp_path: Path, capsys: Any) -> None:
         shipped = path_of("salad-lite")
@@ -460,7 +460,7 @@ class TestRows:
         )
         said = capsys.readouterr().err
         for part in (
-            "2,176 numbers, the paper's has 2,112",
+            "8,448 numbers, the paper's has 2,112",
             "another size",
             "another backbone",
             "give the file",

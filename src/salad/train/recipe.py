@@ -257,7 +257,7 @@ PRESETS: dict[str, Preset] = {
             licence=LITE_LICENCE,
         ),
         start="salad-lite",
-        recipe=Recipe(head_steps=300, tune_steps=0, tuned_blocks=0, cache_versions=2),
+        recipe=Recipe(head_steps=120, tune_steps=0, tuned_blocks=0, measure_every=60, cache_versions=1),
     ),
     "paper": Preset(
         model=ModelConfig(name="paper", backbone=VITS["vitb14"], aggregator=AGGREGATORS_OF_THE_PAPER["full"]),
