@@ -2,6 +2,7 @@
 
     python benchmarks/heads.py --leave-out sfxl-240 [--seeds 1] [--steps 300] [--rows NAME ...] [--to runs/heads]
     python benchmarks/heads.py --leave-out amos-15 vcl-10
+    python benchmarks/heads.py --leave-out sfxl-240 --rows lite2-128x64 --augment robust    # or --sampler cliques
 
 Whole sets are left out of the training photos. Each head is trained on cached tokens of its frozen trunk, at 224 px,
 and measured on every place of the sets left out, beside places held out of those it learnt from; mean average precision
@@ -23,7 +24,16 @@ from salad.data.places import TrainingPlace, find_places, split
 from salad.model.weights import load
 from salad.train.choose import precision_held_out
 from salad.train.loop import train
-from salad.train.recipe import LITE_HEAD, LITE_TRUNK, PRESETS, SMALL_HEAD, SMALL_PHOTO, Preset
+from salad.train.recipe import (
+    LITE_HEAD,
+    LITE_TRUNK,
+    PRESETS,
+    SMALL_HEAD,
+    SMALL_PHOTO,
+    Augment,
+    Preset,
+    Sampling,
+)
 from salad.train.shelf import Shelf
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,12 +47,18 @@ ROWS: dict[str, tuple[LiteConfig, SaladConfig]] = {
 """Trunk, clusters and numbers of each; the last is `salad-lite`'s, and the last two are as long as the paper's."""
 
 
-def preset_of(row: str, *, steps: int, seed: int) -> Preset:
+MINED_EVERY = 100  # steps, for batches of places that look alike
+
+
+def preset_of(row: str, *, steps: int, seed: int, augment: Augment, sampler: Sampling) -> Preset:
     """A head on cached tokens of a frozen trunk, used at the size it is trained at."""
     trunk, head = ROWS[row]
     known = PRESETS["head"]
     model = replace(known.model, name=row, backbone=trunk, aggregator=head, preprocessing=SMALL_PHOTO)
-    return replace(known, model=model, recipe=replace(known.recipe, head_steps=steps, seed=seed))
+    recipe = replace(known.recipe, head_steps=steps, seed=seed, augment=augment)
+    if sampler == "cliques":
+        recipe = replace(recipe, sampler=sampler, mine_every=MINED_EVERY)
+    return replace(known, model=model, recipe=recipe)
 
 
 def measured(
@@ -75,6 +91,8 @@ def main() -> None:
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--steps", type=int, default=300)
+    parser.add_argument("--augment", choices=("lite", "robust"), default="lite")
+    parser.add_argument("--sampler", choices=("mixed", "cliques"), default="mixed")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--to", type=Path, default=ROOT / "runs" / "heads")
     asked = parser.parse_args()
@@ -86,10 +104,11 @@ def main() -> None:
     for row in asked.rows:
         figures = []
         for seed in range(asked.seeds):
-            run = asked.to / "-".join(left_out) / f"{row}-{seed}"
-            made = preset_of(row, steps=asked.steps, seed=seed)
+            run = asked.to / "-".join(left_out) / f"{row}-{asked.augment}-{asked.sampler}-{seed}"
+            made = preset_of(row, steps=asked.steps, seed=seed, augment=asked.augment, sampler=asked.sampler)
             figures.append(measured(run, made, known, unknown, asked.to / "tokens"))
-        print(f"{row}, without {', '.join(left_out)}: {spread(figures)}", flush=True)
+        how = f"{row}, {asked.augment}, {asked.sampler}, without {', '.join(left_out)}"
+        print(f"{how}: {spread(figures)}", flush=True)
 
 
 if __name__ == "__main__":
