@@ -272,7 +272,9 @@ PRESETS: dict[str, Preset] = {
         recipe=Recipe(head_steps=40, tune_steps=160, trunk_rate=4e-4, warmup=10, average=0.97),
     ),
     "head": Preset(
-        model=ModelConfig(name="head", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=LITE_PHOTO),
+        model=ModelConfig(
+            name="head", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=LITE_PHOTO
+        ),
         start="imagenet",
         recipe=Recipe(head_steps=1000, tune_steps=0, tuned_blocks=0, cache_versions=4, measure_every=100),
     ),
