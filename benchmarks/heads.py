@@ -17,10 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from held_out import DATA
+from held_out import DATA, leave_out
 
 from salad.config import LiteConfig, SaladConfig
-from salad.data.places import TrainingPlace, find_places, split
+from salad.data.places import TrainingPlace, split
 from salad.model.weights import load
 from salad.train.choose import precision_held_out
 from salad.train.loop import train
@@ -96,18 +96,14 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--to", type=Path, default=ROOT / "runs" / "heads")
     asked = parser.parse_args()
-    places, left_out = find_places(asked.data), tuple(asked.leave_out)
-    unknown = [place for place in places if place.city.startswith(left_out)]
-    known = [place for place in places if not place.city.startswith(left_out)]
-    if not unknown or not known:
-        parser.error(f"--leave-out {' '.join(left_out)} leaves out all sets, or none")
+    known, unknown = leave_out(parser, asked.data, asked.leave_out)
     for row in asked.rows:
         figures = []
         for seed in range(asked.seeds):
-            run = asked.to / "-".join(left_out) / f"{row}-{asked.augment}-{asked.sampler}-{seed}"
+            run = asked.to / "-".join(asked.leave_out) / f"{row}-{asked.augment}-{asked.sampler}-{seed}"
             made = preset_of(row, steps=asked.steps, seed=seed, augment=asked.augment, sampler=asked.sampler)
             figures.append(measured(run, made, known, unknown, asked.to / "tokens"))
-        how = f"{row}, {asked.augment}, {asked.sampler}, without {', '.join(left_out)}"
+        how = f"{row}, {asked.augment}, {asked.sampler}, without {', '.join(asked.leave_out)}"
         print(f"{how}: {spread(figures)}", flush=True)
 
 

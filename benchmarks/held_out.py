@@ -9,10 +9,10 @@ newest photos of each place find the others of it.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from salad.data.places import find_places, split
+from salad.data.places import TrainingPlace, find_places, split
 from salad.model.weights import load
 from salad.train.choose import precision_held_out
 from salad.train.recipe import PRESETS
@@ -24,6 +24,18 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
 def told(figures: Mapping[str, float]) -> str:
     """Precision by set, on one line."""
     return "  ".join(f"{city} {figure:.1f}" for city, figure in figures.items())
+
+
+def leave_out(
+    parser: argparse.ArgumentParser, data: Path, sets: Sequence[str]
+) -> tuple[list[TrainingPlace], list[TrainingPlace]]:
+    """Places of the sets that stay, and of those whose names begin so; an error of usage where either is empty."""
+    places, names = find_places(data), tuple(sets)
+    known = [place for place in places if not place.city.startswith(names)]
+    unknown = [place for place in places if place.city.startswith(names)]
+    if not unknown or not known:
+        parser.error(f"--leave-out {' '.join(sets)} leaves out all sets, or none")
+    return known, unknown
 
 
 def main() -> None:

@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from held_out import DATA, told
+from held_out import DATA, leave_out, told
 
-from salad.data.places import find_places, split
+from salad.data.places import split
 from salad.model.describer import build
 from salad.train.choose import precision_held_out
 from salad.train.loop import CHECKPOINT, train
@@ -38,19 +38,17 @@ def main() -> None:
     parser.add_argument("--to", type=Path, default=ROOT / "runs" / "tuned-share")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    places, left_out = find_places(asked.data), tuple(asked.leave_out)
-    unknown = [place for place in places if place.city.startswith(left_out)]
-    known = [place for place in places if not place.city.startswith(left_out)]
-    if not unknown or not known:
-        parser.error(f"--leave-out {' '.join(left_out)} leaves out all sets, or none")
+    known, unknown = leave_out(parser, asked.data, asked.leave_out)
     preset = PRESETS["salad-lite"]
     steps = asked.steps - preset.recipe.head_steps
     recipe = replace(preset.recipe, tune_steps=steps, full_steps=0, tuned_share=0.0, seed=asked.seed)
-    run = asked.to / "-".join(left_out)
+    run = asked.to / "-".join(asked.leave_out)
     train(replace(preset, recipe=recipe), known, to=run)
     saved = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
     _, held_out = split(known, held_out=recipe.held_out, seed=recipe.seed)
-    print(f"{asked.steps} steps, seed {asked.seed}; precision on {', '.join(left_out)} | on places held out")
+    print(
+        f"{asked.steps} steps, seed {asked.seed}; precision on {', '.join(asked.leave_out)} | on places held out"
+    )
     with Shelf(preset.model.preprocessing) as shelf:
         for share in SHARES:
             state = State(build(preset.model), tuned_share=share)
