@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from held_out import DATA, leave_out
+from held_out import DATA, drawn, leave_out
 
 from salad.config import LiteConfig, SaladConfig
 from salad.data.places import TrainingPlace, split
@@ -47,17 +47,12 @@ ROWS: dict[str, tuple[LiteConfig, SaladConfig]] = {
 """Trunk, clusters and numbers of each; the last is `salad-lite`'s, and the last two are as long as the paper's."""
 
 
-MINED_EVERY = 100  # steps, for batches of places that look alike
-
-
 def preset_of(row: str, *, steps: int, seed: int, augment: Augment, sampler: Sampling) -> Preset:
     """A head on cached tokens of a frozen trunk, used at the size it is trained at."""
     trunk, head = ROWS[row]
     known = PRESETS["head"]
     model = replace(known.model, name=row, backbone=trunk, aggregator=head, preprocessing=SMALL_PHOTO)
-    recipe = replace(known.recipe, head_steps=steps, seed=seed, augment=augment)
-    if sampler == "cliques":
-        recipe = replace(recipe, sampler=sampler, mine_every=MINED_EVERY)
+    recipe = drawn(replace(known.recipe, head_steps=steps, seed=seed), augment, sampler)
     return replace(known, model=model, recipe=recipe)
 
 

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from salad.data.places import TrainingPlace, find_places, split
 from salad.model.weights import load
 from salad.train.choose import precision_held_out
-from salad.train.recipe import PRESETS
+from salad.train.recipe import PRESETS, Augment, Recipe, Sampling
 from salad.train.shelf import Shelf
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
+MINED_EVERY = 100  # steps, for batches of places that look alike
 
 
 def told(figures: Mapping[str, float]) -> str:
@@ -36,6 +38,12 @@ def leave_out(
     if not unknown or not known:
         parser.error(f"--leave-out {' '.join(sets)} leaves out all sets, or none")
     return known, unknown
+
+
+def drawn(recipe: Recipe, augment: Augment, sampler: Sampling) -> Recipe:
+    """The same recipe on photos changed and batches drawn in another way."""
+    mined = MINED_EVERY if sampler == "cliques" else 0
+    return replace(recipe, augment=augment, sampler=sampler, mine_every=mined)
 
 
 def main() -> None:

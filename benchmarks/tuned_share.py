@@ -1,6 +1,7 @@
 """How far to go from the weights before the backbone was trained to those after: measured on photos of another kind.
 
     python benchmarks/tuned_share.py --leave-out amos-15 vcl-10 [--steps 300] [--to runs/tuned-share]
+    python benchmarks/tuned_share.py --leave-out amos-15 vcl-10 --augment robust    # or --sampler cliques
 
 Whole sets are left out of the training photos, and what was trained without them is measured on every place of theirs,
 beside places held out of the sets it did learn from. Places held out of known sets want all the way; unknown sets want
@@ -14,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from held_out import DATA, leave_out, told
+from held_out import DATA, drawn, leave_out, told
 
 from salad.data.places import split
 from salad.model.describer import build
@@ -34,6 +35,8 @@ def main() -> None:
     )
     parser.add_argument("--leave-out", nargs="+", required=True, metavar="SET", help="how their names begin")
     parser.add_argument("--steps", type=int, default=300)
+    parser.add_argument("--augment", choices=("lite", "robust"), default="lite")
+    parser.add_argument("--sampler", choices=("mixed", "cliques"), default="mixed")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--to", type=Path, default=ROOT / "runs" / "tuned-share")
     parser.add_argument("--seed", type=int, default=0)
@@ -42,12 +45,14 @@ def main() -> None:
     preset = PRESETS["salad-lite"]
     steps = asked.steps - preset.recipe.head_steps
     recipe = replace(preset.recipe, tune_steps=steps, full_steps=0, tuned_share=0.0, seed=asked.seed)
-    run = asked.to / "-".join(asked.leave_out)
+    recipe = drawn(recipe, asked.augment, asked.sampler)
+    run = asked.to / "-".join((*asked.leave_out, asked.augment, asked.sampler))
     train(replace(preset, recipe=recipe), known, to=run)
     saved = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
     _, held_out = split(known, held_out=recipe.held_out, seed=recipe.seed)
     print(
-        f"{asked.steps} steps, seed {asked.seed}; precision on {', '.join(asked.leave_out)} | on places held out"
+        f"{asked.steps} steps, {asked.augment}, {asked.sampler}, seed {asked.seed}; "
+        f"precision on {', '.join(asked.leave_out)} | on places held out"
     )
     with Shelf(preset.model.preprocessing) as shelf:
         for share in SHARES:

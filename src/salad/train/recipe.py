@@ -238,13 +238,18 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-vits",
             backbone=ViTConfig(width=384, depth=9, heads=6),
-            aggregator=SaladConfig(
-                width=384, clusters=64, cluster_dim=32, scene_dim=128, hidden=256, dropout=0.3
-            ),
+            aggregator=replace(LITE_HEAD, width=384),
             preprocessing=Preprocessing(height=224, width=224),
         ),
         start="",  # a file given with --start
-        recipe=Recipe(head_rate=5e-4, trunk_rate=3e-5, tuned_blocks=2),
+        recipe=Recipe(
+            head_steps=100,
+            tune_steps=300,
+            head_rate=5e-4,
+            trunk_rate=5e-5,
+            tuned_blocks=4,
+            tuned_share=0.7,
+        ),
     ),
     "salad-lite-route": Preset(
         model=ModelConfig(
