@@ -232,7 +232,7 @@ PRESETS: dict[str, Preset] = {
             licence=LITE_LICENCE,
         ),
         start="imagenet",
-        recipe=Recipe(head_steps=100, tune_steps=400, size=224, full_steps=60, tuned_share=0.7),
+        recipe=Recipe(head_steps=100, tune_steps=500, size=224, full_steps=200, tuned_share=0.7),
     ),
     "salad-vits": Preset(
         model=ModelConfig(
