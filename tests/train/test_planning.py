@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 import torch
 
-from salad.config import ModelConfig
+from salad.config import ModelConfig, RouteConfig
 from salad.data.places import TrainingPlace
 from salad.errors import BenchmarkError, ModelError
 from salad.model.describer import build
+from salad.model.weights import write_folder
 from salad.train import planning
 from salad.train.launching import launched
 from salad.train.planning import Cost, measured, plan
@@ -91,6 +92,18 @@ def test_a_run_that_cannot_be_is_a_sentence_before_it_is_one(
         _plan(vit, dataclasses.replace(recipe, places=5), places)
     with pytest.raises(ModelError, match="without any"):
         _plan(vit, recipe, devices=100)
+
+
+def test_beside_a_model_that_stays_only_the_layout_is_counted(
+    vit: ModelConfig, recipe: Recipe, tmp_path: Path
+) -> None:
+    folder = write_folder(build(vit), tmp_path / "model")
+    beside = RouteConfig(width=vit.backbone.width, salad=vit.aggregator, grid=2, cell_dim=3)  # type: ignore[arg-type]
+    frozen = dataclasses.replace(recipe, tune_steps=0)
+    told = _plan(dataclasses.replace(vit, aggregator=beside), frozen, start=str(folder))
+    learns = 3 * (vit.backbone.width + 1)
+    assert told["head: aggregator"].startswith(f"{learns} of ")
+    assert told["start"] == str(folder)
 
 
 def _cost(config: ModelConfig, recipe: Recipe, *, blocks: int = 1, cached: bool = False) -> Cost:

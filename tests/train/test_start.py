@@ -94,6 +94,12 @@ def test_a_layout_is_put_beside_a_model_there_is(tmp_path: Path, vit: ModelConfi
     photos = torch.rand(2, 3, 42, 42)
     assert torch.equal(model.aggregator.salad(model.tokens(photos)), given(photos))
     assert torch.equal(model.aggregator.cell.weight, cell)  # untrained, as it was
+    learns = [name for name, weight in model.aggregator.named_parameters() if weight.requires_grad]
+    assert learns == ["cell.weight", "cell.bias"]
+    model.train()
+    assert not model.aggregator.salad.training  # no dropout in what learns nothing
+    assert model.aggregator.cell.training
+    assert torch.equal(model.aggregator.salad(model.tokens(photos)), given(photos))
     narrow = dataclasses.replace(beside, salad=dataclasses.replace(vit.aggregator, clusters=3))
     with pytest.raises(WeightsError, match="has another aggregator"):
         start_backbone(build(dataclasses.replace(vit, aggregator=narrow)), str(folder))

@@ -25,6 +25,7 @@ from salad.train.launching import launched
 from salad.train.objective import multi_similarity
 from salad.train.optimising import optimizer_of
 from salad.train.recipe import Preset, Recipe
+from salad.train.start import is_whole, start_backbone
 
 SAMPLE = 4  # photos of the step that is measured: two places of two
 _KEPT = 3  # copies of all weights in memory: as trained, their mean, the best so far
@@ -69,15 +70,18 @@ def plan(
         MissingExtraError: the `train` extra is not installed.
         BenchmarkError: there are too few places.
         ModelError: model, recipe and devices do not fit together.
+        WeightsError: a whole model that it would start from is of another architecture.
     """
-    recipe = preset.recipe
+    recipe, start = preset.recipe, preset.start if start is None else start
     divided(recipe, devices * nodes)
     model = build(preset.model, seed=recipe.seed)
+    if is_whole(start):  # what learns depends on it; other starts may have to be fetched first
+        start_backbone(model, start)
     size = preprocessing_of(model, recipe)
     told: dict[str, Any] = {
         "model": f"{model.name}: {preset.model.backbone.kind} under {preset.model.aggregator.kind}",
         "descriptor": f"{model.dim} numbers",
-        "start": (preset.start if start is None else start) or "untrained",
+        "start": start or "untrained",
         "batch": f"{recipe.places} places x {recipe.views} photos at {size.height} x {size.width}",
         "at once": f"{recipe.at_once or recipe.batch} photos",
         "augment": recipe.augment,

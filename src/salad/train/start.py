@@ -27,7 +27,8 @@ def start_backbone(model: Describer, start: str) -> None:
         model: whose backbone.
         start: `imagenet`, a bare backbone of the zoo such as `dinov2-vitb14`, a file with the backbone's names,
             or nothing for an untrained one. A whole model of ours (`salad-lite`, or a folder) starts the
-            aggregator too: so one goes on with a model on photos of one's own, or puts a layout beside it.
+            aggregator too: so one goes on with a model on photos of one's own. Or a layout is put beside it: then
+            the layout learns, and the model's own descriptor stays what it is.
 
     Raises:
         WeightsError: the file lacks a tensor of the backbone, or has one of another shape; or the model is of
@@ -53,6 +54,11 @@ def start_backbone(model: Describer, start: str) -> None:
     model.backbone.load_state_dict(own)
 
 
+def is_whole(start: str) -> bool:
+    """Whether `start` is a whole model that is at hand: a folder, or one that ships with the package."""
+    return Path(start).is_dir() or (start in ZOO and ZOO[start].layout == "own")
+
+
 def _path(model: Describer, start: str) -> Path:
     if start == "imagenet":
         trunk = model.config.backbone
@@ -76,7 +82,7 @@ def _start_whole(model: Describer, folder: Path) -> None:
     given = read_folder(folder)
     aggregator, wanted = model.aggregator, model.config.aggregator
     if isinstance(wanted, RouteConfig) and isinstance(given.config.aggregator, SaladConfig):
-        aggregator, wanted = cast(Route, aggregator).salad, wanted.salad
+        aggregator, wanted = cast(Route, aggregator).salad.requires_grad_(False), wanted.salad
     for part, theirs, ours in (
         ("backbone", given.config.backbone, model.config.backbone),
         ("aggregator", given.config.aggregator, wanted),

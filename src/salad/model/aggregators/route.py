@@ -6,6 +6,8 @@ people turn their cameras it misleads. So it is a variant with a name of its own
 
 from __future__ import annotations
 
+from typing import Self
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -30,6 +32,12 @@ class Route(nn.Module):
         """Describe each photo of the batch by one vector of length 1."""
         parts = self.salad(tokens), self.config.weight * self.layout(tokens)
         return F.normalize(torch.cat(parts, dim=1), dim=1)
+
+    def train(self, mode: bool = True) -> Self:
+        """Set the mode of what learns; a SALAD that is not to change describes as in use, dropout off."""
+        super().train(mode)
+        self.salad.train(mode and any(weight.requires_grad for weight in self.salad.parameters()))
+        return self
 
     def layout(self, tokens: Tokens) -> Float[Tensor, "batch cells"]:
         """What is where: a vector of length 1, in which every cell of the grid counts the same."""
