@@ -5,17 +5,16 @@ import shutil
 import subprocess
 from collections import Counter
 from collections.abc import Callable
-from html.parser import HTMLParser
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pages import Page, Sharing
 from salad.demo import DemoResult
 from salad.demo.page import draw_page, write_page
 from salad.demo.strips import coordinates
@@ -25,50 +24,6 @@ from salad.geo import EARTH_RADIUS_M, GeoPoint, metres_between, round_metres, sh
 from salad.model.fake import FakeDescriber
 
 Result = Callable[..., DemoResult]
-VOID = {"meta", "link", "img", "input", "br"}
-
-
-class Page(HTMLParser):
-    """Every tag with its attributes, and whether each was closed in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.said: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open, f"left open: {self.open}"
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert len(dict(attrs)) == len(attrs), f"an attribute twice in {tag}"
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.said.append(data)
-
-    def all(self, tag: str, **has: str) -> list[dict[str, str | None]]:
-        wanted = {key.rstrip("_"): value for key, value in has.items()}
-        return [
-            attrs
-            for name, attrs in self.tags
-            if name == tag and all(value in (attrs.get(key) or "").split() for key, value in wanted.items())
-        ]
-
-
-class Sharing(FakeDescriber):
-    """A fake with a dustbin."""
-
-    def share(self, photo: object) -> object:
-        return SimpleNamespace(dustbin=np.full((3, 4), 0.9), cluster=np.arange(12).reshape(3, 4))
 
 
 def test_the_page_is_whole_and_fetches_nothing(outcome: Result) -> None:
@@ -86,7 +41,7 @@ def test_the_page_is_whole_and_fetches_nothing(outcome: Result) -> None:
 def test_every_query_has_a_strip_and_a_mark_that_point_at_each_other(outcome: Result) -> None:
     result = outcome({"night": [3.0, None], "fog": [80.0]})
     page = Page(draw_page(result))
-    strips, marks = page.all("article", class_="strip"), page.all("a", class_="query")
+    strips, marks = page.all("article", "strip"), page.all("a", "query")
     for found in (strips, marks):
         assert [one["data-verdict"] for one in found] == ["right", "unknown", "wrong"]
         assert [one["data-condition"] for one in found] == ["night", "night", "fog"]
@@ -95,7 +50,7 @@ def test_every_query_has_a_strip_and_a_mark_that_point_at_each_other(outcome: Re
     for _, attrs in page.tags:
         target = attrs.get("href") or ""
         assert not target.startswith("#") or target[1:] in ids
-    said = "".join(page.said)
+    said = page.said
     assert all(one.answer.query.name in said for one in result.judged)
     assert "80 m off" in said
 
@@ -103,7 +58,7 @@ def test_every_query_has_a_strip_and_a_mark_that_point_at_each_other(outcome: Re
 def test_every_photo_is_told_in_words_and_layers_are_not(outcome: Result) -> None:
     page = Page(draw_page(outcome(), Sharing()))
     photos = [attrs for attrs in page.all("img") if "layer" not in (attrs.get("class") or "")]
-    layers = page.all("img", class_="layer")
+    layers = page.all("img", "layer")
     assert len(photos) == 3 * (1 + 3)
     assert len(layers) == 2 * len(photos)
     assert all(len(attrs["alt"] or "") > 10 for attrs in photos)
@@ -115,7 +70,7 @@ def test_without_a_dustbin_photos_stand_alone(outcome: Result) -> None:
         page = Page(draw_page(outcome(), model))
         assert page.all("html")[0]["data-view"] == "photo"
         assert not page.all("input")
-        assert not page.all("img", class_="layer")
+        assert not page.all("img", "layer")
     with_one = Page(draw_page(outcome(), Sharing()))
     assert with_one.all("html")[0]["data-view"] == "dustbin"
     assert [attrs["value"] for attrs in with_one.all("input", name="view")] == [
@@ -130,7 +85,7 @@ def test_hostile_names_stay_text(outcome: Result) -> None:
     model, condition = "</style><img onerror=x>", "\"><b>night</b>'&"
     result = outcome({condition: [3.0]}, name=name, model=model)
     page = Page(draw_page(result))
-    said = "".join(page.said)
+    said = page.said
     assert result.town.queries[0].name in said
     assert model in said
     assert condition in said
@@ -142,16 +97,16 @@ def test_hostile_names_stay_text(outcome: Result) -> None:
 
 def test_filters_count_what_they_show(outcome: Result) -> None:
     page = Page(draw_page(outcome({"night": [3.0, None], "fog": [80.0]})))
-    chips = page.all("button", class_="chip")
+    chips = page.all("button", "chip")
     assert [chip["data-condition"] for chip in chips if "data-condition" in chip] == ["", "night", "fog"]
     assert [chip["data-verdict"] for chip in chips if "data-verdict" in chip] == ["right", "wrong", "unknown"]
-    text = re.sub(r"\s+", " ", "".join(page.said))
+    text = re.sub(r"\s+", " ", page.said)
     assert "all 3night 2fog 1" in text
     assert "right 1wrong 1unknown 1" in text
 
 
 def test_a_demo_without_queries_still_has_a_page(outcome: Result) -> None:
-    assert "No photos were asked about." in "".join(Page(draw_page(outcome({}))).said)
+    assert "No photos were asked about." in Page(draw_page(outcome({}))).said
 
 
 def test_style_and_script_cannot_end_early_and_the_script_parses(tmp_path: Path) -> None:
@@ -190,11 +145,11 @@ def test_the_map_keeps_distances_and_directions(lat: float, lon: float, north: f
 def test_the_map_draws_positions_to_scale(outcome: Result) -> None:
     result = outcome({"night": [20.0]})
     page = Page(draw_map(result))
-    truth, found = page.all("circle", class_="truth")[0], page.all("circle", class_="found")[0]
+    truth, found = page.all("circle", "truth")[0], page.all("circle", "found")[0]
     assert float(truth["cy"] or "") - float(found["cy"] or "") == pytest.approx(20, abs=0.2)
     assert truth["cx"] == found["cx"]
-    assert float(page.all("circle", class_="radius")[0]["r"] or "") == 26.0
-    assert len(page.all("g", class_="references")) == 1
+    assert float(page.all("circle", "radius")[0]["r"] or "") == 26.0
+    assert len(page.all("g", "references")) == 1
 
 
 @given(about=st.floats(0.5, 1e5))

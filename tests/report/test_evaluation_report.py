@@ -8,9 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
 from urllib.parse import unquote
 
 import numpy as np
@@ -18,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pages import Page, Sharing
 from salad.data.benchmark import Benchmark
 from salad.errors import BenchmarkError
 from salad.evaluation import Ranked, Result, Terms, judged, read_result, write_result
@@ -30,43 +29,11 @@ from salad.report import choosing, draw_report, plots, sheet, words, write_repor
 from salad.report.pictures import link
 
 HOME = GeoPoint(48.1, 11.5)
-VOID = {"meta", "link", "img", "input", "br"}
 Make = Callable[..., Result]
 
 
-class Page(HTMLParser):
-    """Every tag with its attributes, and whether each was closed in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.said = ""
-        self.feed(text)
-        self.close()
-        assert not self.open, f"left open: {self.open}"
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert len(dict(attrs)) == len(attrs), f"an attribute twice in {tag}"
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.said += data
-
-    def all(self, tag: str, *classes: str) -> list[dict[str, str | None]]:
-        return [
-            attrs
-            for name, attrs in self.tags
-            if name == tag and set(classes) <= set((attrs.get("class") or "").split())
-        ]
+class Sheet(Page):
+    """A page of figures and of queries marked."""
 
     def values(self) -> list[float]:
         """Every figure, to its last digit."""
@@ -78,13 +45,6 @@ class Page(HTMLParser):
             (attrs["class"] or "").split()[1] for tag in ("a", "g") for attrs in self.all(tag, "query")
         )
         return {kind: found[kind] for kind in choosing.OUTCOMES}
-
-
-class Sharing(FakeDescriber):
-    """A fake with a dustbin."""
-
-    def share(self, photo: object) -> object:
-        return SimpleNamespace(dustbin=np.full((3, 4), 0.9), cluster=np.arange(12).reshape(3, 4))
 
 
 @pytest.fixture
@@ -123,8 +83,8 @@ def make(tmp_path: Path) -> Make:
     return make
 
 
-def drawn(result: Result, at: Path, model: FakeDescriber | None = None) -> Page:
-    return Page(draw_report(result, at / "page.html", model)[0])
+def drawn(result: Result, at: Path, model: FakeDescriber | None = None) -> Sheet:
+    return Sheet(draw_report(result, at / "page.html", model)[0])
 
 
 def figures_of(told: object) -> list[float]:
@@ -141,7 +101,7 @@ def figures_of(told: object) -> list[float]:
 
 def test_the_page_is_whole_and_fetches_nothing(make: Make, tmp_path: Path) -> None:
     text, gone = draw_report(make(), tmp_path / "page.html", Sharing())
-    page = Page(text)
+    page = Sheet(text)
     assert gone == ()
     assert not re.search(r"https?:|//[a-z]+\.|@import|url\(", text)
     assert not page.all("script")
@@ -199,7 +159,7 @@ def test_very_many_queries_are_shapes_and_are_all_there(
     many = tuple(few.verdicts[n % 10] for n in range(sheet.SINGLE + 6))
     result = replace(few, verdicts=many, queries=len(many))
     text = draw_report(result, tmp_path / "page.html")[0]
-    page, expected = Page(text), choosing.counts(many)
+    page, expected = Sheet(text), choosing.counts(many)
     assert sum(page.marks().values()) == 2 * choosing.SHOWN + choosing.UNANSWERABLE
     crowds = page.all("path", "crowd") or page.all("path", "mark", "query")
     for kind in choosing.OUTCOMES:
@@ -262,7 +222,7 @@ def test_names_that_are_no_text(tmp_path: Path, make: Make) -> None:
     odd = tuple(replace(one, query=one.query + "\udcff\ud800\0") for one in result.verdicts)
     told = write_report(replace(result, verdicts=odd), tmp_path / "page.html")
     assert "cannot be opened" in told[0]
-    assert "0.jpg??" in Page((tmp_path / "page.html").read_text(encoding="utf-8")).said.replace("\0", "")
+    assert "0.jpg??" in Sheet((tmp_path / "page.html").read_text(encoding="utf-8")).said.replace("\0", "")
 
 
 def test_photos_that_are_gone_are_said(make: Make, tmp_path: Path) -> None:
@@ -272,14 +232,14 @@ def test_photos_that_are_gone_are_said(make: Make, tmp_path: Path) -> None:
     text, gone = draw_report(result, tmp_path / "page.html")
     assert "2 of " in gone[0]
     assert "the first 3.jpg" in gone[0]  # the surer of the two
-    page = Page(text)
+    page = Sheet(text)
     assert (
         len(page.all("span", "picture", "gone")) == 3
     )  # two photos, and what the unanswerable one has none of
     assert gone[0] in page.said
     nowhere = replace(result, folders=("/no/such/folder", ""))
     text, gone = draw_report(nowhere, tmp_path / "page.html", Sharing())
-    page = Page(text)
+    page = Sheet(text)
     assert not page.all("img")
     assert not page.all("input")
 
@@ -422,7 +382,7 @@ def test_towns_far_apart_have_maps_of_their_own(make: Make, tmp_path: Path) -> N
 def test_a_curve_stays_between_its_axes(corners: list[tuple[float, float]]) -> None:
     x = plots.Axis("x", 0, 100, plots.SHARES)
     text = plots.plot("p", x, plots.PERCENT, sorted(corners))
-    path = Page(text).all("path", "curve")[0]["d"] or ""
+    path = Sheet(text).all("path", "curve")[0]["d"] or ""
     points = [tuple(map(float, corner.split())) for corner in path.removeprefix("M").split("L")]
     assert all(plots.LEFT <= across <= plots.LEFT + plots.WIDE for across, _ in points)
     assert all(plots.ABOVE <= down <= plots.ABOVE + plots.HIGH for _, down in points)

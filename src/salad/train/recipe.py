@@ -255,7 +255,7 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-lite-route",
             backbone=LITE_TRUNK,
-            aggregator=RouteConfig(width=120, salad=LITE_HEAD, cell_dim=32),
+            aggregator=RouteConfig(width=120, salad=LITE_HEAD, cell_dim=32, weight=0.7),
             preprocessing=LITE_PHOTO,
             provenance="salad-lite with a 4 x 4 layout beside its descriptor, trained with `salad train --preset "
             "salad-lite-route` on the same photos; see docs/model-card.md",
