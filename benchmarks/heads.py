@@ -2,7 +2,8 @@
 
     python benchmarks/heads.py --leave-out sfxl-240 [--seeds 1] [--steps 300] [--rows NAME ...] [--to runs/heads]
     python benchmarks/heads.py --leave-out amos-15 vcl-10
-    python benchmarks/heads.py --leave-out sfxl-240 --rows lite2-128x64 --augment robust    # or --sampler cliques
+    python benchmarks/heads.py --leave-out sfxl-240 --rows lite2-128x64 --augment robust
+    python benchmarks/heads.py --leave-out sfxl-240 --rows lite2-128x64 --sampler cliques    # or --views 8
 
 Whole sets are left out of the training photos. Each head is trained on cached tokens of its frozen trunk, at 224 px,
 and measured on every place of the sets left out, beside places held out of those it learnt from; mean average precision
@@ -47,12 +48,14 @@ ROWS: dict[str, tuple[LiteConfig, SaladConfig]] = {
 """Trunk, clusters and numbers of each; the last is `salad-lite`'s, and the last two are as long as the paper's."""
 
 
-def preset_of(row: str, *, steps: int, seed: int, augment: Augment, sampler: Sampling) -> Preset:
-    """A head on cached tokens of a frozen trunk, used at the size it is trained at."""
+def preset_of(row: str, *, steps: int, seed: int, augment: Augment, sampler: Sampling, views: int) -> Preset:
+    """A head on cached tokens of a frozen trunk, used at the size it is trained at; as many photos in every batch."""
     trunk, head = ROWS[row]
     known = PRESETS["head"]
     model = replace(known.model, name=row, backbone=trunk, aggregator=head, preprocessing=SMALL_PHOTO)
-    recipe = drawn(replace(known.recipe, head_steps=steps, seed=seed), augment, sampler)
+    places = known.recipe.batch // views
+    recipe = replace(known.recipe, head_steps=steps, seed=seed, places=places, views=views)
+    recipe = drawn(recipe, augment, sampler)
     return replace(known, model=model, recipe=recipe)
 
 
@@ -88,6 +91,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--augment", choices=("lite", "robust"), default="lite")
     parser.add_argument("--sampler", choices=("mixed", "cliques"), default="mixed")
+    parser.add_argument("--views", type=int, default=4, help="photos of a place in a batch of 64")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--to", type=Path, default=ROOT / "runs" / "heads")
     asked = parser.parse_args()
@@ -95,10 +99,18 @@ def main() -> None:
     for row in asked.rows:
         figures = []
         for seed in range(asked.seeds):
-            run = asked.to / "-".join(asked.leave_out) / f"{row}-{asked.augment}-{asked.sampler}-{seed}"
-            made = preset_of(row, steps=asked.steps, seed=seed, augment=asked.augment, sampler=asked.sampler)
+            drawn_so = f"{asked.augment}-{asked.sampler}-{asked.views}"
+            run = asked.to / "-".join(asked.leave_out) / f"{row}-{drawn_so}-{seed}"
+            made = preset_of(
+                row,
+                steps=asked.steps,
+                seed=seed,
+                augment=asked.augment,
+                sampler=asked.sampler,
+                views=asked.views,
+            )
             figures.append(measured(run, made, known, unknown, asked.to / "tokens"))
-        how = f"{row}, {asked.augment}, {asked.sampler}, without {', '.join(asked.leave_out)}"
+        how = f"{row}, {asked.augment}, {asked.sampler}, {asked.views} views, without {', '.join(asked.leave_out)}"
         print(f"{how}: {spread(figures)}", flush=True)
 
 
