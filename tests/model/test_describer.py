@@ -28,6 +28,7 @@ from salad.config import (
     ViTConfig,
 )
 from salad.errors import ModelError, PhotoError, TooFewTokensError
+from salad.model.aggregators import Route
 from salad.model.describer import Describer, build
 
 PHOTO = Preprocessing(height=42, width=56)
@@ -236,11 +237,13 @@ def test_the_model_that_ships_is_known_by_the_fingerprint_it_has_always_had() ->
     assert salad.load("salad-lite").fingerprint == "243ca9498cd0aba7"
 
 
-def test_the_route_variant_is_the_same_backbone_beside_a_layout() -> None:
+def test_the_route_variant_is_the_same_model_beside_a_layout() -> None:
     route, lite = salad.load("salad-lite-route"), salad.load("salad-lite")
-    assert (route.fingerprint, route.dim) == ("ab24cf6511e63450", 8960)
-    for name, weight in lite.backbone.state_dict().items():
-        assert torch.equal(route.backbone.state_dict()[name], weight), name
+    assert (route.fingerprint, route.dim) == ("e08f497a55802f2e", 8960)
+    assert isinstance(route.aggregator, Route)
+    for mine, theirs in ((route.backbone, lite.backbone), (route.aggregator.salad, lite.aggregator)):
+        for name, weight in theirs.state_dict().items():
+            assert torch.equal(mine.state_dict()[name], weight), name
     photo = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
     aside = np.roll(photo, 24, axis=1)  # the same things elsewhere in the picture
     near, far = (float(np.prod(model.describe([photo, aside]), axis=0).sum()) for model in (lite, route))
