@@ -166,7 +166,7 @@ def set_threads(name: str, threads: int) -> None:
     if name == "salad":
         import torch
 
-        import salad.index  # noqa: F401
+        import salad.index  # noqa: F401  # to bring its code in
 
         torch.set_num_threads(threads)
     elif name == "faiss flat":

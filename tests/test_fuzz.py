@@ -254,7 +254,7 @@ class Reader:
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
-    pytest.importorskip("resource")
+    pytest.importorskip("resource", reason="only Unix measures memory so")
     monkeypatch.setattr(helpers, "_STARTER", READER)
     made = Reader(Helpers(1, seconds=HANG), tmp_path)
     yield made

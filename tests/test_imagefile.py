@@ -57,7 +57,7 @@ def refused(path: Path, content: bytes) -> str:
 
 @pytest.fixture
 def heif() -> Any:
-    return pytest.importorskip("pillow_heif")
+    return pytest.importorskip("pillow_heif", reason="the extra heic is not installed")
 
 
 def heic(heif: Any, path: Path, pixels: np.ndarray, **how: Any) -> Path:
@@ -218,7 +218,7 @@ print(highest())
 
 def taken(folder: Path) -> tuple[list[str], int]:
     """What a process of its own opens of the photos in a folder, and the KiB of memory it had at most."""
-    pytest.importorskip("resource")
+    pytest.importorskip("resource", reason="only Unix measures memory so")
     ran = subprocess.run(
         [sys.executable, "-c", CHILD, folder], capture_output=True, encoding="utf-8", check=False
     )

@@ -38,7 +38,10 @@ def test_a_table_with_everything(tmp_path: Path) -> None:
 
 
 def parquet(path: Path, rows: list[dict[str, object]]) -> Path:
-    arrow, tables = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    arrow, tables = (
+        pytest.importorskip("pyarrow", reason="the extra parquet is not installed"),
+        pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed"),
+    )
     tables.write_table(arrow.Table.from_pylist(rows), path)
     return path
 
@@ -60,7 +63,7 @@ def test_a_table_may_be_parquet(tmp_path: Path) -> None:
 
 
 def test_parquet_that_makes_no_sense_is_a_sentence(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
+    pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
     rows: list[dict[str, object]] = [
         {"path": "a.jpg", "lat": 1.0, "lon": 2.0},
         {"path": "b.jpg", "lat": 91.0, "lon": 2.0},

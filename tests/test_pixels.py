@@ -28,7 +28,7 @@ COLOURS = np.stack([RAMP, RAMP[::-1], 255 - RAMP], axis=2)
 
 def shown(path: Path, image: Image.Image, **how: object) -> np.ndarray:
     """What `open_rgb` makes of an image after it was saved."""
-    image.save(path, **how)  # type: ignore[arg-type]
+    image.save(path, **how)
     rgb = open_rgb(path)
     assert rgb.mode == "RGB"
     values: np.ndarray = np.asarray(rgb, dtype=np.int64)

@@ -88,7 +88,7 @@ def test_json_of_an_unknown_place_is_null() -> None:
 def drawn(answers: list[Any], width: int = 300) -> str:
     console = Console(width=width, file=io.StringIO(), force_terminal=False)
     console.print(formats.as_table(answers))
-    return console.file.getvalue()  # type: ignore[attr-defined]
+    return console.file.getvalue()
 
 
 def test_the_table_shows_names_as_they_are() -> None:

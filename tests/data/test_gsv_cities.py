@@ -41,7 +41,7 @@ def test_the_real_layout_with_photos_that_know_nothing(shared: Path) -> None:
         years = [path.name.split("_")[2:4] for path in place.photos]
         assert years == sorted(years)
     assert all(path.is_file() for path in places[0].photos)
-    assert metres_between(places[0].where, places[1].where) > 45  # type: ignore[arg-type]  # asserted above
+    assert metres_between(places[0].where, places[1].where) > 45
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".JPG"])
@@ -63,7 +63,7 @@ def test_no_photo_is_looked_at_by_itself(tmp_path: Path, monkeypatch: pytest.Mon
 
         def count(path: object, *rest: object, plain: object = plain, **more: object) -> object:
             looked[Path(str(path)).suffix] += 1
-            return plain(path, *rest, **more)  # type: ignore[operator]  # one of os's functions
+            return plain(path, *rest, **more)
 
         monkeypatch.setattr(os, name, count)
     assert len(find_places(root)) == 300

@@ -44,7 +44,7 @@ def test_both_orders_packed_or_not(tmp_path: Path, fakes: ModuleType, order: str
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_as_scipy_writes_it(tmp_path: Path, packed: bool) -> None:
-    scipy_io = pytest.importorskip("scipy.io")
+    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
     cells = np.empty((3, 1), dtype=object)
     cells[:, 0] = TOLD["dbImageFns"]
     told = TOLD | {"dbImageFns": cells, "small": np.array([[1, 2]], dtype=np.uint8), "none": np.zeros((0, 0))}
@@ -56,7 +56,7 @@ def test_as_scipy_writes_it(tmp_path: Path, packed: bool) -> None:
 
 
 def test_scipy_reads_our_fakes(tmp_path: Path, fakes: ModuleType) -> None:
-    scipy_io = pytest.importorskip("scipy.io")
+    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
     for order in "<>":
         read = scipy_io.loadmat(io.BytesIO(fakes.mat_file(TOLD, order=order)))["dbStruct"].item()
         assert read[0].item() == "test"
@@ -99,8 +99,8 @@ def told(path: Path) -> str | None:
 
 
 def test_what_is_not_read_is_passed_over(tmp_path: Path) -> None:
-    scipy_io = pytest.importorskip("scipy.io")
-    sparse = pytest.importorskip("scipy.sparse")
+    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
+    sparse = pytest.importorskip("scipy.sparse", reason="scipy writes the files to compare with")
     told = {"a": 1.0, "odd": sparse.csc_matrix(np.eye(2)), "b": np.array([3], dtype=np.int16)}
     scipy_io.savemat(tmp_path / "a.mat", {"dbStruct": told})
     read = read_struct(tmp_path / "a.mat", "dbStruct")

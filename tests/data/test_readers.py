@@ -151,7 +151,7 @@ class TestAtNames:
 
         def stat(path: object, *more: object, **other: object) -> os.stat_result:
             looked.append(str(path))
-            return plain(path, *more, **other)  # type: ignore[arg-type]  # whatever it is called with
+            return plain(path, *more, **other)
 
         monkeypatch.setattr(os, "stat", stat)
         read("st-lucia", tmp_path)

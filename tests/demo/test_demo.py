@@ -63,7 +63,7 @@ def test_distances_read_well(metres: float | None, said: str) -> None:
 
 
 def test_the_table_tells_every_condition_and_the_whole(outcome: Result) -> None:
-    console = Console(width=110, record=True, file=open("/dev/null", "w"))  # noqa: PTH123, SIM115
+    console = Console(width=110, record=True, file=open("/dev/null", "w"))  # noqa: PTH123, SIM115  # open as long as the console is
     with console.file:
         console.print(table(outcome({"night": [3.0, None], "[red]fog": [80.0]})))
     lines = console.export_text().splitlines()

@@ -159,6 +159,6 @@ def test_one_figure_alone_has_an_axis(percent: float) -> None:
     drawn = ET.fromstring(picture([Line("a", {TOWN: {1: [percent]}}, seeds=1)], "one"))
     ticks = [
         float(text.text) for text in drawn.iter(f"{SVG}text") if re.fullmatch(r"[\d.]+", text.text or "")
-    ]  # type: ignore[arg-type]
+    ]
     assert min(ticks) <= percent <= max(ticks)
     assert len(ticks) >= 2

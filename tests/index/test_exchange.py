@@ -84,7 +84,7 @@ def test_what_goes_out_comes_back(index: Index, tmp_path: Path, form: Any, dtype
 
 def test_what_other_programs_see(index: Index, tmp_path: Path) -> None:
     for form in FORMS:
-        export(index, tmp_path / form, form=form)  # type: ignore[arg-type]
+        export(index, tmp_path / form, form=form)
     with (tmp_path / "csv" / "photos.csv").open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     assert [line["path"] for line in lines] == [str(photo.path) for photo in PHOTOS]
@@ -97,7 +97,7 @@ def test_what_other_programs_see(index: Index, tmp_path: Path) -> None:
         {"type": "Point", "coordinates": [139.767125, 35.681236]},
         None,
     ]
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
     table = parquet.read_table(tmp_path / "parquet" / "photos.parquet").to_pylist()
     assert [line["heading"] for line in table] == [90.5, None, 360.0, None]
 
@@ -136,7 +136,7 @@ def test_names_that_are_not_text(tmp_path: Path) -> None:
     with create(tmp_path / "i") as index:
         index.add([photo], descriptors(1), identities=["a"])
         for form in ("csv", "geojson"):
-            export(index, tmp_path / form, form=form)  # type: ignore[arg-type]
+            export(index, tmp_path / form, form=form)
             with create(tmp_path / f"back.{form}") as back:
                 assert take(back, tmp_path / form) == 1
                 assert list(back.photos()) == [photo]
@@ -150,7 +150,7 @@ def test_names_that_are_not_text(tmp_path: Path) -> None:
 def test_an_empty_index_goes_out_and_comes_back(tmp_path: Path) -> None:
     with create(tmp_path / "i") as index:
         for form in FORMS:
-            assert export(index, tmp_path / form, form=form).photos == 0  # type: ignore[arg-type]
+            assert export(index, tmp_path / form, form=form).photos == 0
             assert take(index, tmp_path / form) == 0
 
 
@@ -350,7 +350,7 @@ def test_a_table_that_is_not_there_is_a_sentence(tmp_path: Path) -> None:
 
 
 def test_parquet_that_makes_no_sense_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
+    pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
     (tmp_path / "photos.parquet").write_bytes(b"PAR1 or not")
     with pytest.raises(StoreError, match="photo 1: it is no Parquet"):
         list(read(tmp_path / "photos.parquet"))

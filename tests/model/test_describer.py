@@ -191,7 +191,7 @@ def test_share_says_where_the_tokens_went() -> None:
     assert share.dustbin.min() >= 0
     assert share.dustbin.max() <= 1
     with torch.no_grad():
-        plan = model.aggregator.plan(model.tokens(model.prepare([_pixels(7)])))[0]  # type: ignore[union-attr, operator]
+        plan = model.aggregator.plan(model.tokens(model.prepare([_pixels(7)])))[0]
     np.testing.assert_allclose(share.dustbin.ravel(), plan[-1].numpy(), atol=1e-6)
     np.testing.assert_array_equal(share.cluster.ravel(), plan[:4].argmax(dim=0).numpy())
 
@@ -289,7 +289,7 @@ def test_the_fingerprint_changes_with_every_weight() -> None:
     ids=str,
 )
 def test_the_fingerprint_changes_with_every_setting_of_preprocessing(change: dict[str, object]) -> None:
-    other = dataclasses.replace(PHOTO, **change)  # type: ignore[arg-type]
+    other = dataclasses.replace(PHOTO, **change)
     config = dataclasses.replace(VIT, preprocessing=other)
     assert build(config).fingerprint != build(VIT).fingerprint
     assert {field.name for field in dataclasses.fields(Preprocessing)} == {

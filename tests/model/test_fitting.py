@@ -85,8 +85,8 @@ def test_the_same_seed_fits_the_same_and_disturbs_nobody() -> None:
 def test_no_more_photos_are_read_than_the_tokens_take(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fitting, "PER_PHOTO", 10)
     model, read, told = build(VLAD), list[int](), list[tuple[int, int | None]]()
-    model.prepare = lambda photos: (read.append(photos[0]), build(VLAD).prepare([_photo(photos[0])]))[1]  # type: ignore[method-assign,assignment,arg-type,return-value,func-returns-value]
-    fit(model, list(range(50)), seed=0, tokens=35, progress=lambda *both: told.append(both))  # type: ignore[arg-type]
+    model.prepare = lambda photos: (read.append(photos[0]), build(VLAD).prepare([_photo(photos[0])]))[1]
+    fit(model, list(range(50)), seed=0, tokens=35, progress=lambda *both: told.append(both))
     assert len(set(read)) == len(read) == 4
     assert told == [(10, 35), (20, 35), (30, 35), (35, 35)]
 
@@ -166,6 +166,6 @@ def test_anylocs_model_has_the_backbone_of_another_and_a_vocabulary() -> None:
 def test_without_the_extra_it_is_named_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
     model = build(VLAD)
-    model.prepare = lambda photos: pytest.fail("a photo was read")  # type: ignore[method-assign]
+    model.prepare = lambda photos: pytest.fail("a photo was read")
     with pytest.raises(MissingExtraError, match="fitting an aggregator to photos needs the 'train' extra"):
         fit(model, PHOTOS, seed=0)

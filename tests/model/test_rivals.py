@@ -68,7 +68,7 @@ def _build(config: AggregatorConfig, *, seed: int = 0) -> Aggregator:
             if weight.ndim:
                 weight.data += 0.3 * torch.randn_like(weight)
         if isinstance(made, Vlad):
-            words = torch.randn(config.clusters, config.width)  # type: ignore[union-attr]
+            words = torch.randn(config.clusters, config.width)
             made.start_from(words / words.norm(dim=1, keepdim=True), words)
     return made
 
@@ -368,7 +368,7 @@ def test_a_route_is_salad_beside_a_weighted_layout() -> None:
 
 @torch.no_grad()
 def test_a_layout_that_weighs_nothing_leaves_salad() -> None:
-    config = dataclasses.replace(CASES["route"], weight=0)  # type: ignore[arg-type]
+    config = dataclasses.replace(CASES["route"], weight=0)
     model = _build(config)
     assert isinstance(model, Route)
     torch.testing.assert_close(model(_tokens())[:, : SALAD.dim], model.salad(_tokens()))

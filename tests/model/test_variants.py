@@ -57,7 +57,7 @@ def _tokens(seed: int = 0, tokens: int = 12) -> Tokens:
 def _salad(**change: object) -> Salad:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        return Salad(dataclasses.replace(BASE, **change)).eval()  # type: ignore[arg-type]
+        return Salad(dataclasses.replace(BASE, **change)).eval()
 
 
 @given(sizes, seeds, dustbins)

@@ -334,7 +334,7 @@ def test_mistakes_are_chosen_in_order_and_once(verdicts: list[Verdict]) -> None:
     assert not set(sure) & set(far)
     assert not any(verdicts[number].hit(1) for number in (*sure, *far))
     scores = [one.scores[0] for one in verdicts if one.scores and choosing.outcome(one) == "wrong"]
-    assert [verdicts[n].scores[0] for n in sure] == sorted(scores, reverse=True)[:5]  # type: ignore[index]
+    assert [verdicts[n].scores[0] for n in sure] == sorted(scores, reverse=True)[:5]
     metres = [verdicts[n].metres for n in far]
     known = [one for one in metres if one is not None]
     assert known == sorted(known, reverse=True)

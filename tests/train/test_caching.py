@@ -28,7 +28,7 @@ def _photos() -> torch.Tensor:
 
 
 def _made(config: ModelConfig, *, dropout: float) -> Describer:
-    aggregator: Any = dataclasses.replace(config.aggregator, dropout=dropout)  # type: ignore[call-arg]
+    aggregator: Any = dataclasses.replace(config.aggregator, dropout=dropout)
     model = build(dataclasses.replace(config, aggregator=aggregator), seed=3)
     model.backbone.train_last(1)
     return model.train()

@@ -84,7 +84,7 @@ def test_every_process_reads_its_share_alone(
     for rank in range(4):
         opened.clear()
         feed = _feed(lite, places, plain, rank=rank, ranks=4)
-        feed.shelf.expect = lambda _: None  # type: ignore[method-assign]  # not the next batch too
+        feed.shelf.expect = lambda _: None  # not the next batch too
         batch = feed.batch(0)
         shares += feed.parts(0, batch)
         assert set(opened) == {view.path for view in feed.share(batch)}

@@ -98,7 +98,7 @@ def test_beside_a_model_that_stays_only_the_layout_is_counted(
     vit: ModelConfig, recipe: Recipe, tmp_path: Path
 ) -> None:
     folder = write_folder(build(vit), tmp_path / "model")
-    beside = RouteConfig(width=vit.backbone.width, salad=vit.aggregator, grid=2, cell_dim=3)  # type: ignore[arg-type]
+    beside = RouteConfig(width=vit.backbone.width, salad=vit.aggregator, grid=2, cell_dim=3)
     frozen = dataclasses.replace(recipe, tune_steps=0)
     told = _plan(dataclasses.replace(vit, aggregator=beside), frozen, start=str(folder))
     learns = 3 * (vit.backbone.width + 1)

@@ -47,7 +47,7 @@ class Vlad(nn.Module):
         belongs = F.one_hot(words, self.config.clusters).to(units.dtype)
         return joined(residuals(units, belongs, self.vocabulary))
 
-    def start_from(self, centroids: Float[Tensor, "k d"], units: Float[Tensor, "t d"]) -> None:  # noqa: ARG002
+    def start_from(self, centroids: Float[Tensor, "k d"], units: Float[Tensor, "t d"]) -> None:  # noqa: ARG002  # called as NetVLAD's
         """Take centroids of tokens of length 1 as the vocabulary."""
         self.vocabulary.copy_(centroids)
         self.fitted.fill_(True)
