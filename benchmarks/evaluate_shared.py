@@ -75,6 +75,7 @@ def describers() -> Mapping[str, Callable[[], Any]]:
         "salad-lite-untrained-vlad": lambda: _untrained("vlad"),
         "salad-lite": lambda: _load("salad-lite"),
         "salad-lite-route": lambda: _load("salad-lite-route"),
+        "salad-vits": lambda: _load("salad-vits"),
     }
 
 

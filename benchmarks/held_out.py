@@ -50,7 +50,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("models", nargs="*", default=["salad-lite", "salad-lite-route"], metavar="MODEL")
+    parser.add_argument(
+        "models", nargs="*", default=["salad-lite", "salad-lite-route", "salad-vits"], metavar="MODEL"
+    )
     parser.add_argument("--data", type=Path, default=DATA)
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite"].recipe

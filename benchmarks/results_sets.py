@@ -16,6 +16,7 @@ NAMES = {
     "salad-lite-untrained-vlad": "untrained trunk, VLAD (vocabulary from the training photos)",
     "salad-lite": "**salad-lite**",
     "salad-lite-route": "**salad-lite-route**",
+    "salad-vits": "**salad-vits**",
 }
 UNITS = {"block": "blocks of neighbouring frames", "group": "groups of queries", "query": "queries"}
 HEAD = """## What ships, on every set

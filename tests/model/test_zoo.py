@@ -137,7 +137,9 @@ class TestTable:
     def test_rows(self) -> None:
         assert all(row.name == name for name, row in ZOO.items())
         dinov2 = {f"dinov2-vit{size}14{kind}" for size in "sblg" for kind in ("", "-reg")}
-        assert set(ZOO) == {"salad-lite", "salad-lite-route", "dinov2-salad", "megaloc"} | dinov2
+        assert (
+            set(ZOO) == {"salad-lite", "salad-lite-route", "salad-vits", "dinov2-salad", "megaloc"} | dinov2
+        )
         for row in ZOO.values():
             assert row.licence
             assert row.note
@@ -155,7 +157,7 @@ class TestTable:
 
     def test_an_unknown_name(self) -> None:
         with pytest.raises(
-            WeightsError, match="'resnet': the zoo has salad-lite, salad-lite-route, dinov2-salad"
+            WeightsError, match="'resnet': the zoo has salad-lite, salad-lite-route, salad-vits, dinov2-salad"
         ):
             fetch("resnet")
 

@@ -69,7 +69,9 @@ def test_a_start_of_another_backbone_is_a_sentence(tmp_path: Path, vit: ModelCon
     wide = _start_file(tmp_path / "wide.safetensors", other)
     with pytest.raises(WeightsError, match=r"wide\.safetensors .* of another shape: pos_embed"):
         start_backbone(build(vit), wide)
-    with pytest.raises(WeightsError, match=r"gone\.pth"):
+    with pytest.raises(
+        WeightsError, match=r"no weights at .*gone\.pth to start from: give their path with --start"
+    ):
         start_backbone(build(vit), str(tmp_path / "gone.pth"))
 
 

@@ -89,6 +89,15 @@ _ENTRIES = (
         "way again",
     ),
     ZooEntry(
+        name="salad-vits",
+        url=None,
+        file="salad-vits",
+        layout="own",
+        dim=8448,
+        licence="Apache-2.0; trained on research photos, see docs/model-card.md",
+        note="ships with the package too: larger and slower than salad-lite, and it finds more",
+    ),
+    ZooEntry(
         name="dinov2-salad",
         url="https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt",
         file="dino_salad.ckpt",

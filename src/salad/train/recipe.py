@@ -239,16 +239,22 @@ PRESETS: dict[str, Preset] = {
             name="salad-vits",
             backbone=ViTConfig(width=384, depth=9, heads=6),
             aggregator=replace(LITE_HEAD, width=384),
-            preprocessing=Preprocessing(height=224, width=224),
+            preprocessing=Preprocessing(height=322, width=322),
+            provenance="initialised from blocks 0 to 8 of a saliency-fine-tuned DINOv2 ViT-S/14, under a SALAD head, "
+            "trained with `salad train --preset salad-vits` on street photos, webcams and campus photos; see "
+            "docs/model-card.md",
+            licence=LITE_LICENCE,
         ),
-        start="",  # a file given with --start
+        start="vits14_blocks0-8.safetensors",  # scripts/extract_vits14.py makes it
         recipe=Recipe(
             head_steps=100,
-            tune_steps=300,
+            tune_steps=500,
             head_rate=5e-4,
             trunk_rate=5e-5,
             tuned_blocks=4,
             tuned_share=0.7,
+            size=224,
+            full_steps=150,
         ),
     ),
     "salad-lite-route": Preset(
@@ -284,9 +290,9 @@ PRESETS: dict[str, Preset] = {
         recipe=Recipe(head_steps=1000, tune_steps=0, tuned_blocks=0, cache_versions=4, measure_every=100),
     ),
 }
-"""`salad-lite` is the model that ships, `salad-lite-route` puts a layout beside it for fixed viewpoints, and
-`salad-vits` is what it was measured against; `paper` is docs/method.md's
-recipe; `small` learns in minutes on two cores; `head` learns on cached tokens, the backbone never run again."""
+"""`salad-lite`, `salad-lite-route` (a layout beside it for fixed viewpoints) and the larger `salad-vits` made the
+models that ship; `paper` is docs/method.md's recipe; `small` learns in minutes on two cores; `head` learns on cached
+tokens, the backbone never run again."""
 
 
 def preset(name: str) -> Preset:

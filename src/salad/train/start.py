@@ -74,6 +74,11 @@ def _path(model: Describer, start: str) -> Path:
                 "dinov2-vitb14, or a folder that training wrote"
             )
         return fetch(start)
+    if not Path(start).exists():
+        raise WeightsError(
+            f"there are no weights at {start} to start from: give their path with --start, a name of the zoo, or a "
+            "model's folder (docs/training.md says where each preset's start comes from)"
+        )
     return Path(start)
 
 
