@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,19 @@ def test_every_setting_reaches_the_recipe() -> None:
         "seed": 17,
         "tuned_blocks": 0,
         "cache_versions": 19,
+        "full_steps": 2,
+        "weight_decay": 0.125,
+        "warmup": 1,
+        "last": 0.5,
+        "decay_over": 3,
+        "average": 0.75,
+        "clip": 2.0,
+        "mirror": False,
+        "clique": 6,
+        "tuned_share": 0.5,
     }
+    by_stage = {"head_steps", "tune_steps", "epochs"}  # of these, the next test
+    assert given.keys() | by_stage == {field.name for field in fields(Recipe)}
     recipe = Train(preset="tiny", **given)._preset().recipe
     assert {name: getattr(recipe, name) for name in given} == given
     assert (recipe.head_steps, recipe.tune_steps) == (1, 3)

@@ -73,16 +73,34 @@ class Train:
     """Photos through the model at once: a large batch in the memory of a small one."""
     size: Number = None
     """Side in pixels of the squares trained on."""
+    full_steps: Number = None
+    """With --size, so many of the last steps at the size in use."""
     head_rate: Rate = None
     """Learning rate of the aggregator."""
     trunk_rate: Rate = None
     """Learning rate of the backbone."""
+    weight_decay: Rate = None
+    """AdamW's."""
+    warmup: Number = None
+    """Steps over which a stage's rates rise."""
+    last: Share = None
+    """Share of the rates left at a stage's end."""
+    decay_over: Number = None
+    """Steps over which they fall, where not over the whole stage."""
+    average: Share = None
+    """Decay of the running mean of the weights, which is what is measured and kept; 0 for none."""
+    clip: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="")] = None
+    """Longest gradient of a step."""
     augment: Augment = None
     """How photos are changed: lite, paper, robust or none."""
+    mirror: Annotated[bool | None, arg(metavar="True|False", help_behavior_hint="")] = None
+    """Whether half of the places are mirrored; a mirrored place is another place."""
     sampler: Sampling = None
     """How batches are drawn: mixed, one-city or cliques."""
     mine_every: Number = None
     """With --sampler cliques, steps between two searches for places that look alike."""
+    clique: Number = None
+    """With --sampler cliques, places in a clique."""
     cache_versions: Number = None
     """With a frozen backbone, versions of each photo whose tokens are kept on disk."""
     tokens: Folder = None

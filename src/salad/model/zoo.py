@@ -95,7 +95,7 @@ _ENTRIES = (
         layout="own",
         dim=8448,
         licence="Apache-2.0; trained on research photos, see docs/model-card.md",
-        note="ships with the package too: surer indoors and where the viewpoint changes, seven times slower, worse on thumbnails",
+        note="ships with the package too: surer indoors and where the viewpoint changes, slower, worse on thumbnails",
     ),
     ZooEntry(
         name="dinov2-salad",
