@@ -51,6 +51,20 @@ class ZooEntry:
     note: str = ""
 
 
+def _bundled(name: str, dim: int, note: str, *, image_size: int) -> ZooEntry:
+    """Make the row of a model of ours, which lies inside the package."""
+    return ZooEntry(
+        name=name,
+        url=None,
+        file=name,
+        layout="own",
+        dim=dim,
+        licence="Apache-2.0; trained on research photos, see docs/model-card.md",
+        image_size=image_size,
+        note=note,
+    )
+
+
 def _dinov2(letter: str, dim: int, registers: bool) -> ZooEntry:
     """Make the row of one DINOv2 backbone."""
     stem = f"dinov2_vit{letter}14"
@@ -67,35 +81,19 @@ def _dinov2(letter: str, dim: int, registers: bool) -> ZooEntry:
 
 
 _ENTRIES = (
-    ZooEntry(
-        name="salad-lite",
-        url=None,
-        file="salad-lite",
-        layout="own",
-        dim=8448,
-        licence="Apache-2.0; trained on research photos, see docs/model-card.md",
-        image_size=320,
-        note="small, ships with the package, runs on any laptop",
-    ),
-    ZooEntry(
-        name="salad-lite-route",
-        url=None,
-        file="salad-lite-route",
-        layout="own",
-        dim=8960,
-        licence="Apache-2.0; trained on research photos, see docs/model-card.md",
-        image_size=320,
-        note="the same beside a 4 x 4 layout: for routes, webcams and trains alone, where the camera looks the same "
+    _bundled("salad-lite", 8448, "small, ships with the package, runs on any laptop", image_size=320),
+    _bundled(
+        "salad-lite-route",
+        8960,
+        "the same beside a 4 x 4 layout: for routes, webcams and trains alone, where the camera looks the same "
         "way again",
+        image_size=320,
     ),
-    ZooEntry(
-        name="salad-vits",
-        url=None,
-        file="salad-vits",
-        layout="own",
-        dim=8448,
-        licence="Apache-2.0; trained on research photos, see docs/model-card.md",
-        note="ships with the package too: surer indoors and where the viewpoint changes, slower, worse on thumbnails",
+    _bundled(
+        "salad-vits",
+        8448,
+        "ships with the package too: surer indoors and where the viewpoint changes, slower, worse on thumbnails",
+        image_size=322,
     ),
     ZooEntry(
         name="dinov2-salad",
