@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from salad.errors import MissingExtraError, StoreError, WrongModelError
@@ -119,6 +119,7 @@ TABLES = st.lists(
 
 
 @settings(max_examples=30, deadline=None)
+@example(photos=[Photo(Path("/photos/\r")), Photo(Path("/photos/\n\r\n"))], form="csv")
 @given(photos=TABLES, form=st.sampled_from(FORMS))
 def test_any_table_is_read_as_it_was_written(
     tmp_path_factory: pytest.TempPathFactory, photos: list[Photo], form: str

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+from salad.csvtext import csv_line
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,17 +24,15 @@ def as_json(answers: Sequence[Answer]) -> str:
 
 def as_csv(answers: Sequence[Answer]) -> str:
     """One line a query; an unknown place leaves its fields empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    lines = [csv_line(COLUMNS)]
     for answer in answers:
         place, best = answer.place, answer.matches[0] if answer.matches else None
         found: list[Any] = [""] * 5
         if place:
             found = [*_degrees(place), f"{place.radius_m:.1f}", f"{place.confidence:.3f}", place.support]
         matched = [best.photo.path, f"{best.score:.4f}"] if best else ["", ""]
-        writer.writerow([answer.query, *found, *matched])
-    return text.getvalue().removesuffix("\n")
+        lines.append(csv_line([answer.query, *found, *matched]))
+    return "".join(lines).removesuffix("\n")
 
 
 def as_table(answers: Sequence[Answer]) -> Table:

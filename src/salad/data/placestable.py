@@ -7,13 +7,13 @@ Only `path` and `place` must be there. With `lat` and `lon` it is a table of pho
 from __future__ import annotations
 
 import csv
-import io
 import os
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from salad.csvtext import csv_line
 from salad.data.listing import Listing, tell_missing
 from salad.data.views import FEWEST, Say, TrainingPlace
 from salad.errors import BenchmarkError, PositionError
@@ -58,14 +58,11 @@ def write_places(places: Sequence[Shown], to: Path) -> None:
     Raises:
         BenchmarkError: the file cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
     home = Path(os.path.abspath(to.parent))  # noqa: PTH100  # as in _line
-    for place in places:
-        writer.writerows(_line(place, photo, home) for photo in place.photos)
+    lines = (csv_line(_line(place, photo, home)) for place in places for photo in place.photos)
+    text = csv_line(COLUMNS) + "".join(lines)
     try:
-        write_whole(to, text.getvalue().encode("utf-8", "surrogateescape"))
+        write_whole(to, text.encode("utf-8", "surrogateescape"))
     except OSError as error:
         raise BenchmarkError(
             f"{to} cannot be written ({error.strerror}): name a file in a folder that is there"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+from salad.csvtext import csv_line
 from salad.errors import BenchmarkError
 from salad.evaluation.intervals import Interval
 from salad.evaluation.leaks import Leak
@@ -68,17 +67,15 @@ def read_result(path: Path) -> Result:
 
 def as_csv(result: Result) -> str:
     """One line a query; what is not known leaves its field empty."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(COLUMNS)
+    lines = [csv_line(COLUMNS)]
     for one in result.verdicts:
         best = result.known[one.matches[0]].name if one.matches else ""
         score = f"{one.scores[0]:.6f}" if one.scores else ""
         near = "" if one.metres is None else f"{one.metres:.2f}"
         lat, lon = ("", "") if one.where is None else (f"{degrees:.7f}" for degrees in one.where)
         told = [one.query, one.group or "", one.positives, one.first_right or "", near]
-        table.writerow([*told, best, score, int(one.hit(1)), lat, lon])
-    return text.getvalue()
+        lines.append(csv_line([*told, best, score, int(one.hit(1)), lat, lon]))
+    return "".join(lines)
 
 
 def write_csv(result: Result, path: Path) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from typing import Any
 
+from salad.csvtext import csv_line
 from salad.evaluation.comparison import (
     Column,
     Line,
@@ -60,20 +59,18 @@ def order(lines: Sequence[Line]) -> list[str]:
 def as_csv(lines: Sequence[Line]) -> str:
     """One line a figure, ours and published, with what else is known of the model at its end."""
     facts = _facts(lines)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*FIELDS, *facts])
+    told: list[list[Any]] = [[*FIELDS, *facts]]
     for line in lines:
         known = [_exact(line.facts.get(fact)) for fact in facts]
         for column, by_k in line.recalls.items():
             for k in by_k:
                 found = line.at(column, k)
                 if found:
-                    writer.writerow([*_ours(line, column, k, found), *known])
+                    told.append([*_ours(line, column, k, found), *known])
         for protocol, one in line.published.items():
             figure = [THEIRS, line.name, protocol, protocol, 1, one.percent, "", "", one.aside]
-            writer.writerow([*figure, *([""] * len(facts))])
-    return text.getvalue()
+            told.append([*figure, *([""] * len(facts))])
+    return "".join(map(csv_line, told))
 
 
 def _ours(line: Line, column: Column, k: int, found: Spread) -> list[Any]:

@@ -16,6 +16,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from salad.csvtext import csv_line
 from salad.errors import PositionError, StoreError
 from salad.geo import GeoPoint
 from salad.parquet import arrow, rows
@@ -44,9 +45,10 @@ def writer(path: Path) -> AbstractContextManager[Put]:
 @contextmanager
 def _csv_writer(path: Path) -> Iterator[Put]:
     with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
-        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        yield lambda photos, identities: table.writerows(map(_record, photos, identities))
+        file.write(csv_line(COLUMNS))
+        yield lambda photos, identities: file.writelines(
+            csv_line(record[name] for name in COLUMNS) for record in map(_record, photos, identities)
+        )
 
 
 @contextmanager

@@ -11,7 +11,6 @@ day; queries are later visits with other light, weather, cars, viewpoint and len
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from salad.csvtext import csv_line
 from salad.data.town.album import draw_all
 from salad.data.town.camera import Shot
 from salad.data.town.plan import Plan, plan_town
@@ -166,13 +166,11 @@ def _clear(folder: Path) -> None:
 
 def _write_truth(path: Path, shots: list[Shot]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["query", "lat", "lon", "heading", "condition"])
+        file.write(csv_line(["query", "lat", "lon", "heading", "condition"]))
         for shot in shots:
             where = position_of(shot)
-            table.writerow(
-                [shot.name, f"{where.lat:.8f}", f"{where.lon:.8f}", f"{shot.camera.heading:.2f}", shot.light]
-            )
+            at = [f"{where.lat:.8f}", f"{where.lon:.8f}", f"{shot.camera.heading:.2f}"]
+            file.write(csv_line([shot.name, *at, shot.light]))
 
 
 def _described(plan: Plan, shots: list[Shot]) -> dict[str, Any]:
