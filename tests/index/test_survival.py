@@ -350,8 +350,17 @@ def test_a_list_goes_on_behind_a_compaction(index: Index, monkeypatch: pytest.Mo
     assert listed == [str(number) for number in range(12) if number != 5]
 
     listing = index.photos()
+    listed = [next(listing).path.stem for _ in range(4)]
+    index.remove(
+        [HOME / f"{number}.jpg" for number in (4, 6, 7, 8)]
+    )  # all of the second page, and one before it
+    index.compact()
+    listed += [photo.path.stem for photo in listing]
+    assert listed == ["1", "3", "4", "6", "7", "8", "9", "10", "11"]  # 7 and 8 were fetched with 6
+
+    listing = index.photos()
     next(listing)
-    index.remove([HOME / f"{number}.jpg" for number in (1, 3, 4)])  # all that the list has reached
+    index.remove([HOME / f"{number}.jpg" for number in (1, 3, 9)])  # all that the list has reached
     index.compact()
     with pytest.raises(StoreError, match="compacted while it was read: try again"):
         list(listing)

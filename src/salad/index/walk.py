@@ -18,6 +18,8 @@ from salad.index.matrix import Half
 from salad.index.search import Snapshot
 from salad.photos import Photo
 
+_KEPT = 1000  # rows told last, any of which finds the place again behind a compaction
+
 Looks = Callable[[], Snapshot]
 
 
@@ -44,15 +46,17 @@ def listed(table: Ledger) -> Iterator[tuple[Photo, str]]:
     Raises:
         StoreError: If the index is compacted meanwhile so that there is no telling where to go on.
     """
-    page: list[tuple[int, Photo, str]] = []
+    told: list[tuple[int, str]] = []
     matrix = ""
     while True:
         with table.reading():
             now = table.committed().matrix
-            row = _reached(table, page, renumbered=now != matrix)
-            matrix, page = now, table.after(row)
+            if now != matrix:
+                told, matrix = _where_now(table, told), now
+            page = table.after(told[-1][0] if told else -1)
         if not page:
             return
+        told = [*told, *((row, identity) for row, _, identity in page)][-_KEPT:]
         yield from ((photo, identity) for _, photo, identity in page)
 
 
@@ -131,18 +135,14 @@ def _still(table: Ledger, seen: Snapshot, rows: list[int]) -> dict[int, tuple[Ph
     return dict(sorted(held.items()))
 
 
-def _reached(table: Ledger, page: Sequence[tuple[int, Photo, str]], *, renumbered: bool) -> int:
-    """The row of the last photo of `page` that is still there."""
-    if not page:
-        return -1
-    if not renumbered:
-        return page[-1][0]
-    now = table.rows_of([identity for _, _, identity in page])
+def _where_now(table: Ledger, told: Sequence[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Of rows and contents before a compaction those still there, at the rows they have after it."""
+    now = table.rows_of([identity for _, identity in told])
     # A compaction moves photos down only: one that is higher was removed and added again.
-    still = [now[identity] for row, _, identity in page if now.get(identity, row + 1) <= row]
-    if not still:
+    still = sorted((now[identity], identity) for row, identity in told if now.get(identity, row + 1) <= row)
+    if told and not still:
         raise _compacted(table)
-    return max(still)
+    return still
 
 
 def _compacted(table: Ledger) -> StoreError:
