@@ -46,7 +46,7 @@ class Train:
     to: Folder = None
     """The run's folder."""
     preset: str = SHIPPED
-    """What to train: paper, small, head, salad-lite, salad-lite-route, or salad-vits."""
+    """What to train: paper, small, head, salad-lite, salad-lite-route, salad-vits or salad-vits-whole."""
     start: File = None
     """Other weights to start from: a backbone's file, a name of the zoo, or a model's folder to go on with."""
     resume: bool = False
