@@ -42,7 +42,7 @@ def trained(asked: argparse.Namespace, copies: Path) -> float:
     command = [
         sys.executable,
         "-m",
-        "salad.cli",
+        "salad",
         "train",
         "--preset",
         asked.preset,

@@ -75,7 +75,7 @@ def run(grids: Sequence[str], to: Path, sets: Sequence[str], more: Sequence[str]
         # As it would be typed in the checkout.
         shown = [option.replace(f"{ROOT}/", "").replace(f"{ROOT.parent}/", "../") for option in options]
         (folder / COMMAND).write_text(json.dumps(shown) + "\n", encoding="utf-8")
-        code = subprocess.run([sys.executable, "-m", "salad.cli", *options], check=False).returncode
+        code = subprocess.run([sys.executable, "-m", "salad", *options], check=False).returncode
         if code:
             raise SystemExit(code)
 

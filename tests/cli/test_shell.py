@@ -23,7 +23,7 @@ SUBCOMMANDS = [
 
 def process(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """`salad ARGUMENTS` as a process of its own."""
-    command = [sys.executable, "-m", "salad.cli", *arguments]
+    command = [sys.executable, "-m", "salad", *arguments]
     return subprocess.run(command, capture_output=True, encoding="utf-8", check=False, **options)
 
 
@@ -127,7 +127,7 @@ def test_an_error_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None
 def test_a_reader_that_has_seen_enough_is_no_error() -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    command = [sys.executable, "-m", "salad.cli", "weights", "list"]
+    command = [sys.executable, "-m", "salad", "weights", "list"]
     ran = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, encoding="utf-8", check=False)
     os.close(writing)
     assert (ran.returncode, ran.stderr) == (0, "")

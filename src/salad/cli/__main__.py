@@ -1,6 +1,0 @@
-"""`python -m salad.cli`, where the command itself is not on the path."""
-
-from salad.cli import main
-
-if __name__ == "__main__":
-    main()
