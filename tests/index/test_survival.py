@@ -351,9 +351,8 @@ def test_a_list_goes_on_behind_a_compaction(index: Index, monkeypatch: pytest.Mo
 
     listing = index.photos()
     listed = [next(listing).path.stem for _ in range(4)]
-    index.remove(
-        [HOME / f"{number}.jpg" for number in (4, 6, 7, 8)]
-    )  # all of the second page, and one before it
+    # all of the second page, and one before it
+    index.remove([HOME / f"{number}.jpg" for number in (4, 6, 7, 8)])
     index.compact()
     listed += [photo.path.stem for photo in listing]
     assert listed == ["1", "3", "4", "6", "7", "8", "9", "10", "11"]  # 7 and 8 were fetched with 6

@@ -113,12 +113,8 @@ def test_a_second_run_goes_on_from_the_model_that_ships_and_trains_every_block(n
     assert made.recipe.head_steps == 0
     model.backbone.train_last(made.recipe.tuned_blocks)
     frozen = {weight.split(".")[1] for weight, value in model.named_parameters() if not value.requires_grad}
-    assert frozen <= {
-        "patch_embed",
-        "pos_embed",
-        "cls_token",
-        "mask_token",
-    }  # what a photo is before the first
+    before_the_first = {"patch_embed", "pos_embed", "cls_token", "mask_token"}
+    assert frozen <= before_the_first
 
 
 def test_a_preset_there_is_not_lists_those_there_are() -> None:

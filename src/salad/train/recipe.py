@@ -220,15 +220,6 @@ LITE_LICENCE = (
     "the weights; see docs/model-card.md"
 )
 
-LITE_MODEL = ModelConfig(
-    name="salad-lite",
-    backbone=LITE_TRUNK,
-    aggregator=LITE_HEAD,
-    preprocessing=LITE_PHOTO,
-    provenance="EfficientNet-Lite2's ImageNet trunk up to block 14 under a SALAD head, trained with `salad "
-    "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
-    licence=LITE_LICENCE,
-)
 VITS_MODEL = ModelConfig(
     name="salad-vits",
     backbone=ViTConfig(width=384, depth=9, heads=6),
@@ -242,7 +233,15 @@ VITS_MODEL = ModelConfig(
 
 PRESETS: dict[str, Preset] = {
     "salad-lite": Preset(
-        model=LITE_MODEL,
+        model=ModelConfig(
+            name="salad-lite",
+            backbone=LITE_TRUNK,
+            aggregator=LITE_HEAD,
+            preprocessing=LITE_PHOTO,
+            provenance="EfficientNet-Lite2's ImageNet trunk up to block 14 under a SALAD head, trained with `salad "
+            "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
+            licence=LITE_LICENCE,
+        ),
         start="imagenet",
         recipe=Recipe(head_steps=100, tune_steps=500, size=224, full_steps=200, tuned_share=0.7),
     ),
