@@ -1,6 +1,6 @@
 """Fit a model's calibration on places held out of its training, and measure it on the evaluation photos.
 
-    python benchmarks/calibration.py [--model salad-lite] [--write DIR] [--svg docs/reliability.svg]
+    python benchmarks/calibration.py [--model salad-lite] [--plain] [--write DIR] [--svg docs/reliability.svg]
 
 Fitted on the training photos alone. The index: street photos of one city, all of the places that were trained on
 and the older ones of the places held out. The queries: the newest photos of the places held out, once as they are
@@ -28,7 +28,7 @@ import salad
 from salad.config import Calibration
 from salad.data.places import TrainingPlace, find_places, split
 from salad.geo import GeoPoint, metres
-from salad.index import Match
+from salad.index import Match, centring
 from salad.model.describer import Describer
 from salad.model.weights import write_calibration
 from salad.photos import Photo, read_photo
@@ -61,12 +61,16 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True)
 class Question:
-    """Queries beside an index; `names` are the places they show, the index's first `own` photos theirs."""
+    """Queries beside an index; `names` are the places they show, the index's first `own` photos theirs.
+
+    Scores are those of `salad.index.centring` where `centred`.
+    """
 
     queries: Shown
     names: list[str]
     index: Shown
     own: int = 0
+    centred: bool = True
 
     def smaller(self) -> Question:
         """The same queries beside their own places' photos alone."""
@@ -75,7 +79,10 @@ class Question:
 
     def cases(self, *, taken_out: bool = False, near: bool = True) -> list[Case]:
         """What the index says of each query; with its own place taken out of it, or not near at all, if asked."""
-        scores = self.queries.rows @ self.index.rows.T
+        asked, added = self.queries.rows, np.zeros(len(self.queries.rows))
+        if self.centred:
+            asked, added = centring.centred(asked, self.index.rows.mean(axis=0, dtype=np.float64))
+        scores = asked @ self.index.rows.T + added[:, None]
         lat, lon = degrees(self.index)
         found = []
         for row, (query, name) in enumerate(zip(self.queries.photos, self.names, strict=True)):
@@ -104,7 +111,7 @@ def described(model: Describer, photos: Sequence[Photo], what: str) -> Shown:
     return Shown(list(photos), model.describe([photo.path for photo in photos], batch_size=32))
 
 
-def held_out(model: Describer, data: Path, city: str) -> tuple[Question, Question]:
+def held_out(model: Describer, data: Path, city: str, *, centred: bool) -> tuple[Question, Question]:
     """The queries of the city's held-out places beside its index, and strangers beside the same index."""
     name = model.name if model.name in PRESETS else "salad-lite"
     recipe = preset(name).recipe
@@ -120,8 +127,8 @@ def held_out(model: Describer, data: Path, city: str) -> tuple[Question, Questio
     )
     strange = described(model, [photo for _, photo in far], "queries of other sets, held out too")
     return (
-        Question(queries, [n for n, _ in asked], index, own=len(known)),
-        Question(strange, [n for n, _ in far], index, own=len(known)),
+        Question(queries, [n for n, _ in asked], index, own=len(known), centred=centred),
+        Question(strange, [n for n, _ in far], index, own=len(known), centred=centred),
     )
 
 
@@ -135,7 +142,7 @@ def strangers(apart: Sequence[TrainingPlace], city: str) -> list[tuple[str, Path
     ]
 
 
-def evaluated(model: Describer, data: Path) -> tuple[Question, Question]:
+def evaluated(model: Describer, data: Path, *, centred: bool) -> tuple[Question, Question]:
     """Queries of `sfxl-30` beside its index, and Gardens Point beside the same."""
     test = data / "sfxl-30" / "images" / "test"
     index, queries = (
@@ -146,7 +153,10 @@ def evaluated(model: Describer, data: Path) -> tuple[Question, Question]:
     )
     paths = sorted((data / "gardens-point" / "day_right").glob("*.jpg"))
     gardens = described(model, [Photo(path) for path in paths], "Gardens Point")
-    return Question(queries, [""] * len(queries.photos), index), Question(gardens, [""] * len(paths), index)
+    return (
+        Question(queries, [""] * len(queries.photos), index, centred=centred),
+        Question(gardens, [""] * len(paths), index, centred=centred),
+    )
 
 
 def say(what: str, judged: Judged, limit: float) -> None:
@@ -201,7 +211,7 @@ def provenance(model: Describer, here: Question, far: Question, city: str) -> st
 
 def measured(model: Describer, data: Path, calibration: Calibration) -> Judged:
     """Print what a calibration is worth on the evaluation photos; what it says of `sfxl-30`."""
-    street, gardens = evaluated(model, data)
+    street, gardens = evaluated(model, data, centred=calibration.centred)
     limit, seen = calibration.min_confidence, judge(street.cases(), calibration)
     say("sfxl-30", seen, limit)
     say("sfxl-30, own place taken out", judge(street.cases(taken_out=True), calibration), limit)
@@ -215,6 +225,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--model", default="salad-lite", help="whatever `salad.load` takes")
+    parser.add_argument("--plain", action="store_true", help="scores of descriptors as they are, not centred")
     parser.add_argument("--data", type=Path, default=DATA, help="holds train/ and eval/")
     parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
     parser.add_argument(
@@ -223,12 +234,13 @@ def main() -> None:
     parser.add_argument("--svg", type=Path, metavar="FILE", help="draw the reliability diagram")
     asked = parser.parse_args()
     model = salad.load(asked.model)
-    here, far = held_out(model, asked.data / "train", asked.city)
+    here, far = held_out(model, asked.data / "train", asked.city, centred=not asked.plain)
     print(f"{machine()}, {datetime.date.today()}, seed {SEED}, k = {K}, {model.name} {model.fingerprint}")
     kinds = fitting(here, far)
     cases = [case for some in kinds.values() for case in some]
     told = provenance(model, here, far, asked.city)
     calibration, judged = calibrate(cases, precision=PRECISION, seed=SEED, provenance=told)
+    calibration = replace(calibration, centred=here.centred)
     print("\n".join(f"  {name:15} {value}" for name, value in calibration.as_dict().items()))
     table(judged)
     say("out of fold", judged, calibration.min_confidence)

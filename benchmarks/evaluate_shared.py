@@ -1,6 +1,6 @@
 """Recall of several models on the evaluation photos beside the checkout, each figure with its protocol.
 
-    python benchmarks/evaluate_shared.py [MODEL ...] [--data ../shared/data/eval] [--json figures.jsonl]
+    python benchmarks/evaluate_shared.py [MODEL ...] [--plain] [--data ../shared/data/eval] [--json figures.jsonl]
 
 A MODEL is a key of `describers()`, or whatever `salad.load` takes: a name of the zoo, a folder, a file. The
 photos are not part of the repository; a set that is not there is passed over with a sentence.
@@ -106,7 +106,9 @@ def _load(spec: str) -> Any:
 Row = tuple[str, Set, Result]  # the name a model was asked for by, and what it reached on a set
 
 
-def measure(models: Sequence[str], data: Path, *, sets: Sequence[Set] = SETS) -> Iterator[Row]:
+def measure(
+    models: Sequence[str], data: Path, *, sets: Sequence[Set] = SETS, plain: bool = False
+) -> Iterator[Row]:
     """Evaluate every model on every set that is there; each figure comes as soon as it is measured."""
     benchmarks = []
     for each in sets:
@@ -122,7 +124,7 @@ def measure(models: Sequence[str], data: Path, *, sets: Sequence[Set] = SETS) ->
             continue
         for each, read in benchmarks:
             print(f"{name} on {each.name} ...", file=sys.stderr)
-            yield name, each, evaluate(read, model, ks=KS)
+            yield name, each, evaluate(read, model, ks=KS, plain=plain)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -160,10 +162,13 @@ def main() -> None:
     parser.add_argument("models", nargs="*", default=list(describers()), metavar="MODEL")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "eval")
     parser.add_argument("--json", type=Path, help="append the JSON lines here instead of printing them")
+    parser.add_argument(
+        "--plain", action="store_true", help="descriptors as they are, as papers compare them"
+    )
     asked = parser.parse_args()
     rows = []
     with asked.json.open("a", encoding="utf-8") if asked.json else nullcontext(sys.stdout) as out:
-        for row in measure(asked.models, asked.data):
+        for row in measure(asked.models, asked.data, plain=asked.plain):
             rows.append(row)
             print(line(row), file=out, flush=True)  # an hour's figures outlive an interrupt
     if not rows:

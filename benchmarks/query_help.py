@@ -1,4 +1,4 @@
-"""What help for a query is worth: describing it twice, or taking the index's mean off all descriptors.
+"""What help for a query is worth: describing it twice, or leaving out of its scores what all photos of the index share.
 
     python benchmarks/query_help.py [--model salad-lite]
 
@@ -52,30 +52,16 @@ def query_help(model: Describer, here: Question, far: Question) -> None:
         other = model.describe([change(open_rgb(photo.path)) for photo in shown.photos], batch_size=32)
         return Shown(shown.photos, unit(shown.rows + other))
 
-    mean = here.index.rows.mean(axis=0)
-    centred = [
-        Shown(shown.photos, unit(shown.rows - mean)) for shown in (here.queries, far.queries, here.index)
-    ]
     ways = {
-        "nothing": (here.queries, far.queries, here.index),
-        "mean with the mirrored query": (
-            again(here.queries, mirrored),
-            again(far.queries, mirrored),
-            here.index,
-        ),
-        "mean with the cropped query": (
-            again(here.queries, cropped),
-            again(far.queries, cropped),
-            here.index,
-        ),
-        "the index's mean taken off": tuple(centred),
+        "nothing": (here.queries, far.queries, False),
+        "mean with the mirrored query": (again(here.queries, mirrored), again(far.queries, mirrored), False),
+        "mean with the cropped query": (again(here.queries, cropped), again(far.queries, cropped), False),
+        "scores centred": (here.queries, far.queries, True),
     }
     print("query help                      first match right | log loss | answered at 95 % precision")
-    for name, (queries, others, index) in ways.items():
-        asked, strange = (
-            replace(here, queries=queries, index=index),
-            replace(far, queries=others, index=index),
-        )
+    for name, (queries, others, centred) in ways.items():
+        asked = replace(here, queries=queries, centred=centred)
+        strange = replace(far, queries=others, centred=centred)
         cases = [case for some in fitting(asked, strange).values() for case in some]
         fitted, judged = calibrate(cases, seed=SEED)
         right = np.mean([metres_off(case) <= APART_M for case in asked.cases()])
@@ -101,7 +87,7 @@ def main() -> None:
     parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
     asked = parser.parse_args()
     model = salad.load(asked.model)
-    here, far = held_out(model, asked.data / "train", asked.city)
+    here, far = held_out(model, asked.data / "train", asked.city, centred=False)
     print(f"{machine()}, {datetime.date.today()}, seed {SEED}, {model.name} {model.fingerprint}")
     query_help(model, here, far)
 

@@ -94,6 +94,7 @@ calibrations = st.builds(
     st.floats(1e-6, 1e3),
     st.floats(0, 1),
     st.text(),
+    st.booleans(),
 )
 models = st.builds(
     ModelConfig,
@@ -201,6 +202,7 @@ def test_a_model_nobody_has_calibrated_says_nothing_of_it() -> None:
         ("bias", float("inf"), "bias"),
         ("radius", 0, "radius 0 must be above 0"),
         ("min_confidence", 1.01, "at most 1"),
+        ("centred", 1, "give true or false"),
         ("colour", 1, "nothing else and nothing less"),
     ],
 )

@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from salad.cli.verdicts import compare_results, leaks_told
+from salad.config import Calibration
 from salad.errors import BenchmarkError
 from salad.evaluation import read_result
 from salad.evaluation.leaks import Leak
+from salad.evaluation.measuring import CENTRED
+from salad.model.fake import FakeDescriber
 from salad.photos import read_photo, save_jpeg
 
 Cli = Callable[..., Any]
@@ -54,6 +57,26 @@ def test_everything_at_once(cli: Cli, asked: Any, sides: list[Any], tmp_path: Pa
     again = cli(*sides, "--frames", 0, "--cache", tmp_path / "cache", "--format", "json")
     assert again.json()["recall"] == {"1": 100.0, "5": 100.0, "10": 100.0, "20": 100.0}
     assert list((tmp_path / "cache").rglob("*.safetensors"))
+
+
+def test_a_model_that_is_searched_by_centred_scores_can_be_judged_plain(
+    cli: Cli, asked: Any, sides: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = (*sides, "--frames", 0, "--format", "json")
+    before = cli(*command).json()
+    monkeypatch.setattr(FakeDescriber, "calibration", Calibration(centred=True), raising=False)
+    own, plain = cli(*command).json(), cli(*command, "--plain").json()
+    assert (before["model"], own["model"], plain["model"]) == (
+        "salad-lite",
+        "salad-lite",
+        "salad-lite, plain",
+    )
+    assert (before["notes"], own["notes"], plain["notes"]) == ([], [CENTRED], [])
+
+
+def test_what_comes_from_outside_is_plain_already(cli: Cli, sides: list[Any], tmp_path: Path) -> None:
+    said = sentence(cli(*sides, "--frames", 0, "--plain", "--rankings", tmp_path / "r.txt"))
+    assert "leave --plain away" in said
 
 
 def test_a_protocol_by_its_name(cli: Cli, asked: Any, sides: list[Any], photos: Any) -> None:

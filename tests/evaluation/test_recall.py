@@ -13,9 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from salad.config import Calibration
 from salad.data.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
 from salad.evaluation import Held, Ranked, Terms, evaluate, judged, nearest, rank, ranking, recall_at
+from salad.evaluation.measuring import CENTRED
 from salad.model.fake import FakeDescriber
 from salad.photos import Photo
 
@@ -280,6 +282,25 @@ class TestEvaluate:
         assert result.recall[1] == pytest.approx(500 / 6)
         told = evaluate(published, FakeDescriber(), ks=(1,), unanswerable="drop")
         assert (told.protocol, told.recall[1]) == ("msls-val-11k, unanswerable queries left out", 100.0)
+
+    def test_a_model_is_judged_as_it_is_used(self, drive: Benchmark) -> None:
+        class Centred(FakeDescriber):
+            calibration = Calibration(centred=True)
+
+        photos = [[photo.path for photo in side] for side in (drive.queries, drive.references)]
+        held = [Held(FakeDescriber().describe(side)) for side in photos]
+        for model, plain, name, centred, notes in (
+            (Centred(), False, "fake", True, ("a note", CENTRED)),
+            (Centred(), True, "fake, plain", False, ("a note",)),
+            (FakeDescriber(), False, "fake", False, ("a note",)),
+            (FakeDescriber(), True, "fake", False, ("a note",)),
+        ):
+            result = evaluate(drive, model, ks=(1, 3), plain=plain)
+            due = nearest(*held, k=3, centred=centred)
+            assert [one.matches for one in result.verdicts] == [tuple(rows) for rows in due.rows.tolist()]
+            assert due.scores is not None
+            assert np.array([one.scores for one in result.verdicts]) == pytest.approx(due.scores)
+            assert (result.model, result.notes) == (name, notes)
 
     def test_verdicts_say_what_became_of_each_query(self, drive: Benchmark) -> None:
         result = evaluate(drive, FakeDescriber(), ks=(1, 3))

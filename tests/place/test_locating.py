@@ -26,6 +26,12 @@ class Calibrated(FakeDescriber):
     calibration = Calibration(radius=2.0, min_confidence=0.9)
 
 
+class Centred(FakeDescriber):
+    """One whose scores are worth that once they are centred."""
+
+    calibration = Calibration(centred=True)
+
+
 def draw(path: Path, seed: int) -> Path:
     coarse = np.random.default_rng(seed).integers(0, 256, (4, 4, 3), dtype=np.uint8)
     Image.fromarray(coarse).resize((64, 64)).save(path)
@@ -74,6 +80,16 @@ def test_a_calibrated_model_brings_its_own_radius_and_limit(city: Index, tmp_pat
     assert calibrated.place.radius_m == pytest.approx(2 * plain.place.radius_m)
     (strict,) = locate_many([photo], index=city, model=Calibrated())
     assert (strict.place is not None) == (plain.place.confidence >= 0.9)
+
+
+def test_a_model_calibrated_on_centred_scores_is_searched_by_them(city: Index, tmp_path: Path) -> None:
+    photo = tmp_path / "3.png"
+    due, plain = (
+        city.search(FakeDescriber().describe([photo]), k=6, centred=centred)[0] for centred in (True, False)
+    )
+    assert due != plain
+    for model, matches in ((Centred(), due), (Calibrated(), plain), (FakeDescriber(), plain)):
+        assert locate(photo, index=city, model=model, k=6).matches == matches
 
 
 def test_a_place_is_looked_for_where_it_may_be(city: Index, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ TwoNames = Annotated[
 
 _JUDGING = (  # what decides how a set is judged
     *("truth", "frames", "radius", "heading", "table", "protocol", "data", "layout", "any_size"),
-    *("descriptors", "rankings", "list_photos", "called", "cache", "leaks"),
+    *("descriptors", "rankings", "list_photos", "called", "cache", "leaks", "plain"),
 )
 
 
@@ -96,6 +96,9 @@ class Evaluate:
     """Write a table with one line a query."""
     save_rankings: FilePath = None
     """Write what was found as lines `query_key ref_key ref_key ...`."""
+    plain: bool = False
+    """Compare a model's descriptors as they are, as published figures do, where its own way is to leave out what all
+    references have in common."""
     seed: int = 0
     """Of the draws that tell how sure the figures are."""
     format: Form = "table"
@@ -138,6 +141,8 @@ class Evaluate:
             raise BenchmarkError("--descriptors and --rankings are two methods: judge one at a time")
         if self.cache is not None and (self.descriptors is not None or self.rankings is not None):
             raise BenchmarkError("--cache keeps what a model describes, and no model is asked: leave it away")
+        if self.plain and (self.descriptors is not None or self.rankings is not None):
+            raise BenchmarkError("what comes from outside is compared as it is: leave --plain away")
         if self.heat and (self.result is None or self.report is None):
             raise BenchmarkError(
                 "--heat is for a page of a saved result: give it with --result and --report (a page made while judging "
@@ -238,7 +243,9 @@ class Evaluate:
 
         model = load(self.model, device=self.device, heads=self.heads)
         with shell.progress("describing") as bar:
-            result = evaluate(benchmark, model, cache=self.cache, seed=self.seed, progress=bar)
+            result = evaluate(
+                benchmark, model, cache=self.cache, seed=self.seed, plain=self.plain, progress=bar
+            )
         return result, model
 
     def _listed(self, benchmark: Benchmark, references: Path, queries: Path) -> int:

@@ -56,6 +56,8 @@ class Calibration:
         radius: factor on the radius of a place, so that it holds the truth in 90 of 100 answers.
         min_confidence: a place of less is unknown.
         provenance: which photos these numbers were fitted on.
+        centred: whether the scores are those that leave out what all photos of the index have in common; photos are
+            searched for by such scores then.
 
     Raises:
         ModelError: a number is not finite, or out of its range.
@@ -70,9 +72,14 @@ class Calibration:
     radius: float = 1.0
     min_confidence: float = 0.5
     provenance: str = ""
+    centred: bool = False
 
     def __post_init__(self) -> None:
-        numbers = {name: value for name, value in self.as_dict().items() if name != "provenance"}
+        if not isinstance(self.centred, bool):
+            raise ModelError(f"centred of the calibration is {self.centred!r}: give true or false")
+        numbers = {
+            name: value for name, value in self.as_dict().items() if name not in ("centred", "provenance")
+        }
         for name, value in numbers.items():
             real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
             if not real or (value < 0 and name != "bias"):
@@ -86,8 +93,11 @@ class Calibration:
             )
 
     def as_dict(self) -> dict[str, Any]:
-        """This calibration as JSON holds it."""
-        return dataclasses.asdict(self)
+        """This calibration as JSON holds it; `centred`, which came after the others, only where it is so."""
+        settings = dataclasses.asdict(self)
+        if not self.centred:
+            del settings["centred"]
+        return settings
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Calibration:
@@ -97,7 +107,7 @@ class Calibration:
             ModelError: a number is missing, unknown or out of its range.
         """
         known = {field.name for field in dataclasses.fields(cls)}
-        if not isinstance(data, dict) or set(data) != known:
+        if not isinstance(data, dict) or {"centred", *data} != known:
             raise ModelError(f"a calibration holds {', '.join(sorted(known))}, nothing else and nothing less")
         return cls(**data)
 
@@ -119,6 +129,8 @@ class ModelConfig:
         settings = {**dataclasses.asdict(self), "aggregator": as_settings(self.aggregator)}
         if self.calibration is None:
             del settings["calibration"]
+        else:
+            settings["calibration"] = self.calibration.as_dict()
         return settings
 
     @classmethod

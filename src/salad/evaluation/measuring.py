@@ -17,9 +17,12 @@ from salad.evaluation.outside import depth, read_descriptors, read_rankings
 from salad.evaluation.ranking import nearest
 from salad.evaluation.recall import KS
 from salad.evaluation.result import Result
+from salad.place.locating import calibration_of
 
 if TYPE_CHECKING:
     from salad.model.describer import Describes
+
+CENTRED = "scores leave out what all references have in common, as `salad locate` does with this model"
 
 
 def evaluate(
@@ -31,6 +34,7 @@ def evaluate(
     unanswerable: Unanswerable | None = None,
     cache: Path | None = None,
     seed: int = 0,
+    plain: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
     """Describe both sides of a benchmark, rank, and judge.
@@ -44,6 +48,8 @@ def evaluate(
             as the benchmark's protocol says.
         cache: A folder of descriptors to take from and to add to; without it none is kept.
         seed: Of the draws that tell how sure the figures are.
+        plain: Compare descriptors as they are, as published figures do, where the model's own way is to leave out what
+            all references have in common (`salad.index.centring`).
         progress: Told how many photos are described, and of how many.
 
     Raises:
@@ -57,12 +63,14 @@ def evaluate(
     described = Described(model, batch_size=batch_size)
     source = described if cache is None else Cache(cache, described)
     references, queries = source.sides(benchmark.references, benchmark.queries, progress=progress)
-    ranked = nearest(queries, references, k=max(ks))
+    own = calibration_of(model).centred
+    ranked = nearest(queries, references, k=max(ks), centred=own and not plain)
     return judged(
         benchmark,
         ranked,
         terms,
-        model=model.name,
+        model=f"{model.name}, plain" if own and plain else model.name,
+        notes=(CENTRED,) if own and not plain else (),
         fingerprint=model.fingerprint,
         seconds=time.perf_counter() - began,
     )

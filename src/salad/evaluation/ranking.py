@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
 from salad.errors import BenchmarkError
+from salad.index import centring
 
 Vectors: TypeAlias = Float[np.ndarray, "rows dim"]
 Numbers: TypeAlias = Int64[np.ndarray, " pairs"]
@@ -103,16 +104,22 @@ def rank(
 
 
 def nearest(
-    queries: Rows, references: Rows, *, k: int, progress: Callable[[int, int], None] | None = None
+    queries: Rows,
+    references: Rows,
+    *,
+    k: int,
+    centred: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Ranked:
     """Find the references with the highest dot products with each query, exactly, with their scores.
 
-    Queries are held in memory as float32; references pass by once, in blocks.
+    Queries are held in memory as float32; references pass by in blocks, once, or twice where `centred`.
 
     Args:
         queries: `[queries, dim]` descriptors.
         references: `[references, dim]` descriptors.
         k: How many to keep; no more than there are references come back.
+        centred: Whether scores leave out what all references have in common, as `salad.index.centring` says.
         progress: Told how many references have passed by, and of how many.
 
     Raises:
@@ -122,14 +129,17 @@ def nearest(
         raise BenchmarkError(
             f"queries have {queries.dim} numbers each and references {references.dim}: describe both with one model"
         )
-    best = _Best(_whole(queries), k=min(k, references.rows))
+    asked, added = _whole(queries), np.zeros(queries.rows)
+    if centred:
+        asked, added = centring.centred(asked, _mean(references))
+    best = _Best(asked, k=min(k, references.rows))
     done = 0
     for block in references.blocks(numbers=_NUMBERS):
         best.offer(done, np.ascontiguousarray(block, dtype=np.float32))
         done += len(block)
         if progress is not None:
             progress(done, references.rows)
-    return Ranked(best.rows, best.scores)
+    return Ranked(best.rows, best.scores + added[:, None])
 
 
 class _Best:
@@ -200,6 +210,13 @@ def _whole(rows: Rows) -> Float32[np.ndarray, "rows dim"]:
         whole[done : done + len(block)] = block
         done += len(block)
     return whole
+
+
+def _mean(rows: Rows) -> Float64[np.ndarray, " dim"]:
+    total = np.zeros(rows.dim)
+    for block in rows.blocks(numbers=_NUMBERS):
+        total += block.sum(axis=0, dtype=np.float64)
+    return total / max(1, rows.rows)
 
 
 def _lengths(

@@ -36,7 +36,8 @@ class Match:
 
     Attributes:
         photo: The reference.
-        score: Dot product of the two descriptors, the cosine of their angle: 1 is the same picture.
+        score: Dot product of the two descriptors, the cosine of their angle; centred, if that was asked for, on all
+            photos of the index. 1 is the same picture.
         row: Row of the index's matrix.
     """
 
@@ -67,8 +68,13 @@ class Searcher(Protocol):
         """Forget the photos at, or below, these paths; returns how many."""
         ...
 
-    def search(self, descriptors: Floats, *, k: int = 5, where: Filter | None = None) -> list[list[Match]]:
-        """The best k matches of each query, `[Q, dim]` or `[dim]`, best first, among those `where` allows."""
+    def search(
+        self, descriptors: Floats, *, k: int = 5, where: Filter | None = None, centred: bool = False
+    ) -> list[list[Match]]:
+        """The best k matches of each query, `[Q, dim]` or `[dim]`, best first, among those `where` allows.
+
+        Where `centred`, scores are those of `centring.py`.
+        """
         ...
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from salad.errors import StoreError, WrongModelError
-from salad.index import adding, health, layout, ledger, matrix, walk
+from salad.index import adding, centring, health, layout, ledger, matrix, walk
 from salad.index.compact import Compacted, compact
 from salad.index.filters import Filter, allowed
 from salad.index.header import Header
@@ -42,6 +42,7 @@ class Index:
         self.header = header
         self._ledger = table
         self._last: tuple[Snapshot, Trust] | None = None
+        self._middle: tuple[int, centring.Mean] | None = None  # the mean descriptor, of which generation
 
     @classmethod
     def create(cls, folder: str | Path, *, dim: int, fingerprint: str, model: str) -> Index:
@@ -179,7 +180,9 @@ class Index:
         with self._ledger.reading():
             return {path for _, path, _ in self._ledger.at_paths(paths)}
 
-    def search(self, descriptors: Floats, *, k: int = 5, where: Filter | None = None) -> list[list[Match]]:
+    def search(
+        self, descriptors: Floats, *, k: int = 5, where: Filter | None = None, centred: bool = False
+    ) -> list[list[Match]]:
         """The best k matches of each query: exact, best first, ties in order of row.
 
         A photo whose descriptor is damaged is not among them.
@@ -188,6 +191,7 @@ class Index:
             descriptors: `[Q, dim]`, or `[dim]` for one query.
             k: How many; a smaller index gives fewer.
             where: Which photos may be found; it holds before the ranking.
+            centred: Whether scores leave out what all photos of the index have in common (`centring.py`).
 
         Raises:
             StoreError: If the descriptors are of another dimension or not finite, or k is below 1.
@@ -197,14 +201,20 @@ class Index:
             with self._ledger.reading():
                 seen, trust = self._seen()
                 may = trust.alive() if where is None else allowed(where, self._ledger, trust.alive())
-            found = best_rows(seen.rows, queries, k=k, allowed=may)
+            asked, added = queries, np.zeros(len(queries))
+            if centred:
+                asked, added = centring.centred(queries, self._mean(seen))
+            found = best_rows(seen.rows, asked, k=k, allowed=may)
             rows = {row for best in found for row, _ in best}
             with self._ledger.reading():
                 # Again, where a compaction came between the search and the names, or damage came out on top.
                 held = walk.at_rows(self._ledger, seen, rows)
                 if held is not None and trust.passes(self._ledger, rows):
                     break
-        return [[Match(held[row][0], score, row) for row, score in best if row in held] for best in found]
+        return [
+            [Match(held[row][0], score + more, row) for row, score in best if row in held]
+            for best, more in zip(found, added.tolist(), strict=True)
+        ]
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
@@ -283,6 +293,13 @@ class Index:
                 seen = Snapshot(last.generation, rows, alive)
                 self._last = seen, Trust(seen)
             return self._last
+
+    def _mean(self, seen: Snapshot) -> centring.Mean:
+        """Of what this commit holds; worked out once."""
+        last = self._middle
+        if last is None or last[0] != seen.generation:
+            self._middle = last = seen.generation, centring.mean_of(seen.rows, seen.alive)
+        return last[1]
 
     def _remove(self, paths: Sequence[Path]) -> int:
         with self._ledger.writing():

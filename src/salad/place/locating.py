@@ -137,7 +137,7 @@ def locate_many(
         readable = _readable(decoded, on_unreadable)
         while batch := list(islice(readable, batch_size)):
             descriptors = model.describe([pixels for _, pixels in batch], batch_size=batch_size)
-            found = index.search(descriptors, k=k, where=where)
+            found = index.search(descriptors, k=k, where=where, centred=by.centred)
             for (query, _), matches in zip(batch, found, strict=True):
                 yield _answer(query, matches, voting(matches, radius_m=radius_m, calibration=by), least)
 
