@@ -56,12 +56,11 @@ backbones = (
 
 
 def salads(width: int) -> st.SearchStrategy[SaladConfig]:
-    return st.builds(
-        SaladConfig,
-        *[st.just(width), few, few, st.integers(0, 512), few, st.floats(0, 0.9), st.none() | few],
-        st.booleans(),
-        st.sampled_from(["sinkhorn", "softmax", "dual-softmax"]),
-        st.integers(1, 9),
+    sizes = [st.just(width), few, few, st.integers(0, 512), few, st.floats(0, 0.9), st.none() | few]
+    transports = st.sampled_from(["sinkhorn", "softmax", "dual-softmax"])
+    shares = st.floats(0.01, 0.99)
+    return st.builds(SaladConfig, *sizes, st.booleans(), transports, st.integers(1, 9)) | st.builds(
+        SaladConfig, *sizes, iterations=st.integers(1, 9), dustbin_share=shares
     )
 
 
@@ -250,14 +249,40 @@ def test_the_config_that_ships_is_written_as_it_was() -> None:
         (SaladConfig(9), set()),
         (SaladConfig(9, dustbin=False), {"dustbin"}),
         (SaladConfig(9, transport="softmax", iterations=4), {"transport", "iterations"}),
+        (SaladConfig(9, dustbin_share=0.4), {"dustbin_share"}),
         (GemConfig(9), set()),
         (GemConfig(9, learned=True), {"learned"}),
     ],
-    ids=["salad", "no-dustbin", "softmax", "gem", "learned-gem"],
+    ids=["salad", "no-dustbin", "softmax", "dustbin-share", "gem", "learned-gem"],
 )
 def test_a_later_setting_is_written_where_it_is_not_the_default(config: Any, later: set[str]) -> None:
     written = ModelConfig("a", LiteConfig(), config).as_dict()["aggregator"]
-    assert set(written) & {"dustbin", "transport", "iterations", "learned"} == later
+    assert set(written) & {"dustbin", "transport", "iterations", "dustbin_share", "learned"} == later
+
+
+@pytest.mark.parametrize("share", [None, 0.4])
+def test_a_route_writes_what_came_later_of_the_salad_inside_it_too(share: float | None) -> None:
+    route = RouteConfig(9, SaladConfig(9, dustbin_share=share))
+    written = ModelConfig("a", LiteConfig(), route).as_dict()["aggregator"]["salad"]
+    assert ("dustbin_share" in written) == (share is not None)
+    assert {"dustbin", "transport", "iterations"} < set(written)  # as it always was
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"dustbin_share": 0.0}, "between 0 and 1"),
+        ({"dustbin_share": 1}, "between 0 and 1"),
+        ({"dustbin_share": True}, "between 0 and 1"),
+        ({"dustbin_share": float("nan")}, "between 0 and 1"),
+        ({"dustbin_share": "half"}, "between 0 and 1"),
+        ({"dustbin_share": 0.4, "dustbin": False}, "needs a dustbin"),
+        ({"dustbin_share": 0.4, "transport": "softmax"}, "needs a dustbin"),
+    ],
+)
+def test_a_senseless_share_of_the_dustbin_is_refused(change: dict[str, Any], said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        SaladConfig(9, **change)
 
 
 def test_every_kind_is_written_as_it_is_read() -> None:

@@ -53,6 +53,32 @@ def test_share_is_three_plain_rounds(size: tuple[int, int, int], seed: int, dust
 
 @quick
 @given(sizes, seeds)
+def test_a_dustbin_that_wants_the_papers_share_is_the_papers(size: tuple[int, int, int], seed: int) -> None:
+    scores, dustbin = _scores(size, seed), torch.tensor(1.0, dtype=torch.float64)
+    _, clusters, tokens = scores.shape
+    torch.testing.assert_close(
+        share(scores, dustbin, wants=(tokens - clusters) / tokens),
+        share(scores, dustbin),
+        rtol=1e-9,
+        atol=1e-12,
+    )
+
+
+@quick
+@given(sizes, seeds, st.floats(0.01, 0.99), st.integers(1, 3))
+def test_a_dustbin_takes_the_share_it_wants(
+    size: tuple[int, int, int], seed: int, wants: float, times: int
+) -> None:
+    """However many tokens there are, fewer than clusters too, once the plan is finished."""
+    scores = _scores(size, seed, scale=1.0)[:, :, :: 2 * times]
+    plan = share(scores, torch.tensor(1.0, dtype=torch.float64), wants=wants, iterations=1000)
+    due = plan.new_full(plan.shape[:2], (1 - wants) / scores.shape[1])
+    due[:, -1] = wants
+    torch.testing.assert_close(plan.mean(dim=2), due, rtol=0, atol=1e-8)
+
+
+@quick
+@given(sizes, seeds)
 def test_every_token_has_mass_one_and_no_share_is_negative(size: tuple[int, int, int], seed: int) -> None:
     plan = share(_scores(size, seed, scale=10).float(), torch.tensor(1.0))
     assert plan.dtype == torch.float32

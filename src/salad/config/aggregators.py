@@ -27,9 +27,11 @@ class SaladConfig:
         transport: how tokens are shared: by Sinkhorn's iteration, each by a softmax over the clusters, or by the
             product of that with a softmax over the tokens.
         iterations: Sinkhorn's rounds; the 3 belongs to published models.
+        dustbin_share: what the dustbin wants of all tokens, however many there are; None for the paper's n - m of n,
+            so that a larger photo loses a larger share.
 
     Raises:
-        ModelError: one of the last three, or `scene_dim`, makes no sense.
+        ModelError: one of the last four, or `scene_dim`, makes no sense.
     """
 
     width: int
@@ -42,6 +44,7 @@ class SaladConfig:
     dustbin: bool = True
     transport: Transport = "sinkhorn"
     iterations: int = 3
+    dustbin_share: float | None = None
     kind: Literal["salad"] = "salad"
 
     def __post_init__(self) -> None:
@@ -52,6 +55,20 @@ class SaladConfig:
         if self.transport not in get_args(Transport):
             raise ModelError(
                 f"transport {self.transport!r} is unknown: give one of {', '.join(get_args(Transport))}"
+            )
+        self._check_dustbin_share()
+
+    def _check_dustbin_share(self) -> None:
+        share = self.dustbin_share
+        if share is None:
+            return
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 < share < 1:
+            raise ModelError(
+                f"dustbin_share of the salad aggregator is {share!r}: give a share between 0 and 1"
+            )
+        if not self.dustbin or self.transport != "sinkhorn":
+            raise ModelError(
+                "dustbin_share needs a dustbin and the transport sinkhorn: nothing else holds to it"
             )
 
     @property

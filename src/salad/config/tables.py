@@ -102,7 +102,10 @@ AGGREGATORS: dict[str, Callable[[int], AggregatorConfig]] = {
 
 # Settings that came after the first models were published. At their default they are not written, so that a
 # model's configuration, and with it its fingerprint, is what it was. Their defaults must never change.
-LATER: dict[str, tuple[str, ...]] = {"salad": ("dustbin", "transport", "iterations"), "gem": ("learned",)}
+LATER: dict[str, tuple[str, ...]] = {
+    "salad": ("dustbin", "transport", "iterations", "dustbin_share"),
+    "gem": ("learned",),
+}
 
 
 def for_grid(config: AggregatorConfig, grid: tuple[int, int]) -> AggregatorConfig:
@@ -122,6 +125,8 @@ def as_settings(config: AggregatorConfig) -> dict[str, Any]:
     for name in LATER.get(config.kind, ()):
         if settings[name] == defaults[name]:
             del settings[name]
+    if isinstance(config, RouteConfig) and config.salad.dustbin_share is None:
+        del settings["salad"]["dustbin_share"]  # of the one inside, the first of them that came after it
     return settings
 
 

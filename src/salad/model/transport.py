@@ -1,9 +1,10 @@
 """Scores and masses -> plan: how much of every token each cluster takes, the dustbin included.
 
-Pure functions. Every token has mass 1, every cluster wants mass 1, and the dustbin wants what is left. The
-entropic transport problem is solved in log space by Sinkhorn's iteration (Cuturi, 2013); SALAD stops it after
-three rounds, and the three belongs to the model: its published weights were trained with an unfinished plan.
-`share` is that; `softmax` and `dual_softmax` are what the paper compares it with.
+Pure functions. Every token has mass 1, every cluster wants mass 1, and the dustbin wants what is left; or the dustbin
+wants a share of all, and the clusters alike what it leaves. The entropic transport problem is solved in log space by
+Sinkhorn's iteration (Cuturi, 2013); SALAD stops it after three rounds, and the three belongs to the model: its
+published weights were trained with an unfinished plan. `share` is that; `softmax` and `dual_softmax` are what the
+paper compares it with.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ def share(
     scores: Float[Tensor, "batch m n"],
     dustbin: Float[Tensor, ""] | None,
     *,
+    wants: float | None = None,
     stride: int = 1,
     iterations: int = ITERATIONS,
 ) -> Float[Tensor, "batch rows n"]:
@@ -56,6 +58,7 @@ def share(
     Args:
         scores: one row a cluster, one column a token.
         dustbin: the score every token has for the dustbin; None for none, and every cluster wants n / m.
+        wants: the dustbin's share of all tokens; None for what is left once every cluster has the mass of one.
         stride: pixels from one token to the next, for the error's advice.
         iterations: Sinkhorn's rounds.
 
@@ -63,10 +66,10 @@ def share(
         The plan: every column sums to 1.
 
     Raises:
-        TooFewTokensError: there is a dustbin, and there are not more tokens than clusters.
+        TooFewTokensError: there is a dustbin that wants what is left, and there are not more tokens than clusters.
     """
     _, clusters, tokens = scores.shape
-    if dustbin is not None and tokens <= clusters:
+    if dustbin is not None and wants is None and tokens <= clusters:
         side = stride * (math.isqrt(clusters) + 1)
         raise TooFewTokensError(
             f"the photo gives {tokens} tokens, but {clusters} clusters need more than {clusters}; "
@@ -77,8 +80,9 @@ def share(
         if dustbin is None:
             log_rows = rows.new_full((clusters,), math.log(tokens / clusters))
         else:
-            log_rows = rows.new_zeros(clusters + 1)
-            log_rows[-1] = math.log(tokens - clusters)
+            lost = tokens - clusters if wants is None else tokens * wants
+            log_rows = rows.new_full((clusters + 1,), math.log((tokens - lost) / clusters))
+            log_rows[-1] = math.log(lost)
         return sinkhorn(rows, log_rows, rows.new_zeros(tokens), iterations=iterations).exp()
 
 

@@ -57,7 +57,13 @@ class Salad(nn.Module):
             return softmax(scores, self.dustbin)
         if self.config.transport == "dual-softmax":
             return dual_softmax(scores, self.dustbin)
-        return share(scores, self.dustbin, stride=tokens.stride, iterations=self.config.iterations)
+        return share(
+            scores,
+            self.dustbin,
+            wants=self.config.dustbin_share,
+            stride=tokens.stride,
+            iterations=self.config.iterations,
+        )
 
 
 def _perceptron(inside: int, hidden: int, out: int, *, dropout: float) -> nn.Sequential:
