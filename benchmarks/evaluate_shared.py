@@ -107,7 +107,12 @@ Row = tuple[str, Set, Result]  # the name a model was asked for by, and what it 
 
 
 def measure(
-    models: Sequence[str], data: Path, *, sets: Sequence[Set] = SETS, plain: bool = False
+    models: Sequence[str],
+    data: Path,
+    *,
+    sets: Sequence[Set] = SETS,
+    plain: bool = False,
+    cache: Path | None = None,
 ) -> Iterator[Row]:
     """Evaluate every model on every set that is there; each figure comes as soon as it is measured."""
     benchmarks = []
@@ -124,7 +129,8 @@ def measure(
             continue
         for each, read in benchmarks:
             print(f"{name} on {each.name} ...", file=sys.stderr)
-            yield name, each, evaluate(read, model, ks=KS, plain=plain)
+            result = evaluate(read, model, ks=KS, plain=plain, cache=cache)
+            yield name if result.model == model.name else f"{name}, plain", each, result
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -165,10 +171,11 @@ def main() -> None:
     parser.add_argument(
         "--plain", action="store_true", help="descriptors as they are, as papers compare them"
     )
+    parser.add_argument("--cache", type=Path, help="keep descriptors here, for the same models again")
     asked = parser.parse_args()
     rows = []
     with asked.json.open("a", encoding="utf-8") if asked.json else nullcontext(sys.stdout) as out:
-        for row in measure(asked.models, asked.data, plain=asked.plain):
+        for row in measure(asked.models, asked.data, plain=asked.plain, cache=asked.cache):
             rows.append(row)
             print(line(row), file=out, flush=True)  # an hour's figures outlive an interrupt
     if not rows:

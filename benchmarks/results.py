@@ -2,17 +2,18 @@
 
     python benchmarks/results.py run [GRID ...] [--sets NAME,...] [--to runs/grids] [-- OPTIONS OF salad compare]
     python benchmarks/evaluate_shared.py --json runs/models.jsonl
-    python benchmarks/results.py write [GRID ...] [--from runs/grids] [--models runs/models.jsonl]
+    python benchmarks/results.py write [--from runs/grids] [--models runs/models.jsonl]
 
 `run` is `salad compare` with every evaluation set that is there, one folder a grid; interrupt it as you like, it
-goes on. `write` makes the page and its pictures from the folders alone: no figure on it is typed by hand, and what
-there is no result of stands there as such.
+goes on. `write` makes the page and its pictures from the folders alone: no figure on it is typed by hand. A grid of
+which there is no result here keeps what the page says of it.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -80,9 +81,9 @@ def run(grids: Sequence[str], to: Path, sets: Sequence[str], more: Sequence[str]
             raise SystemExit(code)
 
 
-def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path) -> str:
-    """The page's text; each grid's picture goes into `pictures`."""
-    parts = [HEAD]
+def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path, *, before: str = "") -> str:
+    """The page's text, where it was `before`; each grid's picture goes into `pictures`."""
+    parts, kept = [HEAD], parts_of(before)
     if models.is_file():
         parts.append(section(models))
     parts.append(TERMS)
@@ -93,7 +94,7 @@ def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path) -> str:
             table = write_tables(folder, grid, rows(grid))
         except SaladError as error:
             print(f"{grid}: {error}", file=sys.stderr)
-            parts.append("There is no result of this grid yet.\n")
+            parts.append(kept.get(HEADINGS[grid], "There is no result of this grid yet.\n"))
             continue
         picture = f"results-{grid}.svg"
         shutil.copy(folder / f"{grid}.svg", pictures / picture)
@@ -101,6 +102,15 @@ def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path) -> str:
         parts.append(f"{table}\n")
         parts += _repeated(folder, grid)
     return "\n".join(parts)
+
+
+def parts_of(page: str) -> dict[str, str]:
+    """What stands under each heading of the third order."""
+    parts = (part.partition("\n") for part in re.split(r"^### ", page, flags=re.MULTILINE)[1:])
+    return {
+        heading: re.split(r"^## ", body, flags=re.MULTILINE)[0].strip("\n") + "\n"
+        for heading, _, body in parts
+    }
 
 
 def _repeated(folder: Path, grid: str) -> list[str]:
@@ -138,7 +148,8 @@ def main() -> None:
     if asked.what == "run":
         run(grids, asked.runs, sets, more)
     else:
-        text = page(grids, asked.runs, asked.models, asked.page.parent)
+        before = asked.page.read_text(encoding="utf-8") if asked.page.is_file() else ""
+        text = page(list(GRIDS), asked.runs, asked.models, asked.page.parent, before=before)
         asked.page.write_text(text, encoding="utf-8")
         print(asked.page)
 

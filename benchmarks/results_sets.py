@@ -15,16 +15,20 @@ NAMES = {
     "salad-lite-untrained-grid": "untrained trunk, 4 x 4 grid of tokens",
     "salad-lite-untrained-vlad": "untrained trunk, VLAD (vocabulary from the training photos)",
     "salad-lite": "**salad-lite**",
+    "salad-lite, plain": "the same, scores not centred",
     "salad-lite-route": "**salad-lite-route**",
+    "salad-lite-route, plain": "the same, scores not centred",
     "salad-vits": "**salad-vits**",
+    "salad-vits, plain": "the same, scores not centred",
 }
 UNITS = {"block": "blocks of neighbouring frames", "group": "groups of queries", "query": "queries"}
 HEAD = """## What ships, on every set
 
-One descriptor a photo, exact search, no re-ranking. Beside the models that ship stand descriptors of the same backbone
-that nothing was trained for, and HOG as a floor. In brackets: 95 % intervals by bootstrap; frames of one drive are not
-independent, so whole stretches of it are drawn. Two rows whose intervals overlap may still differ for certain:
-`salad compare A.json B.json` draws the same queries for both.
+One descriptor a photo, exact search, no re-ranking; scores leave out what all references have in common
+([method](method.md#scores)) where the model is calibrated for that, as those that ship are, and is not asked plainly.
+Beside these stand descriptors of the same backbone that nothing was trained for, and HOG as a floor. In brackets: 95 %
+intervals by bootstrap; frames of one drive are not independent, so whole stretches of it are drawn. Two rows whose
+intervals overlap may still differ for certain: `salad compare A.json B.json` draws the same queries for both.
 """
 
 Figure = Mapping[str, Any]

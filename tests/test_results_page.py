@@ -72,3 +72,16 @@ def test_a_line_that_is_no_figure_is_refused(section: Any, tmp_path: Path) -> No
     file.write_text("{\n")
     with pytest.raises(ValueError, match="Expecting"):
         section(file)
+
+
+def test_a_grid_without_a_result_keeps_what_the_page_says_of_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    results = importlib.import_module("results")
+    nowhere = (["parts", "sizes"], tmp_path, tmp_path / "models.jsonl", tmp_path)
+    first = results.page(*nowhere)
+    assert first.count("There is no result of this grid yet.") == 2
+    heading = f"### {results.HEADINGS['parts']}\n"
+    before = first.replace(f"{heading}\nThere is no result of this grid yet.", f"{heading}\n| a | table |")
+    assert results.page(*nowhere, before=before) == before != first
