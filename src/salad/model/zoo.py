@@ -92,7 +92,7 @@ _ENTRIES = (
     _bundled(
         "salad-vits",
         8448,
-        "ships with the package too: surer indoors and in any light, slower, worse on thumbnails",
+        "ships with the package too: surer with webcams and phones in any light, slower, worse on thumbnails",
         image_size=322,
     ),
     ZooEntry(

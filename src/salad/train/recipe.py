@@ -188,6 +188,7 @@ class Preset:
 # Twice the paper's clusters of half the numbers: as long a descriptor, but the dustbin leaves twice the tokens.
 LITE_TRUNK = LiteConfig(blocks=15, kind="lite2")
 LITE_HEAD = SaladConfig(width=120, clusters=128, cluster_dim=64)
+LITE_SALAD = replace(LITE_HEAD, dustbin_share=0.35)  # as it is anyway at 224 px; larger photos lose no more
 SMALL_HEAD = SaladConfig(width=112, clusters=128, cluster_dim=16, scene_dim=128, hidden=256)
 LITE_PHOTO = Preprocessing(height=320, width=320, mean=(127 / 255,) * 3, std=(128 / 255,) * 3)
 SMALL_PHOTO = replace(LITE_PHOTO, height=224, width=224)
@@ -236,7 +237,7 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-lite",
             backbone=LITE_TRUNK,
-            aggregator=LITE_HEAD,
+            aggregator=LITE_SALAD,
             preprocessing=LITE_PHOTO,
             provenance="EfficientNet-Lite2's ImageNet trunk up to block 14 under a SALAD head, trained with `salad "
             "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
@@ -277,7 +278,7 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-lite-route",
             backbone=LITE_TRUNK,
-            aggregator=RouteConfig(width=120, salad=LITE_HEAD, cell_dim=32, weight=0.7),
+            aggregator=RouteConfig(width=120, salad=LITE_SALAD, cell_dim=32, weight=0.7),
             preprocessing=LITE_PHOTO,
             provenance="salad-lite with a 4 x 4 layout beside its descriptor, trained with `salad train --preset "
             "salad-lite-route` on the same photos; see docs/model-card.md",

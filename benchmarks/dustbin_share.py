@@ -1,0 +1,84 @@
+"""What a model reaches as its dustbin takes less or more of the tokens, nothing learnt anew.
+
+    python benchmarks/dustbin_share.py [MODEL ...] [--shares 0.1 0.35 0.68] [--data ../shared/data]
+
+Precision on the places held out of the training, then R@1 on the evaluation sets of some hundred photos, plain / with
+scores centred. It shows what the dustbin is good for; a model that ships has the share it was trained with.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from evaluate_shared import SETS
+from held_out import DATA, told
+
+from salad.config import Calibration, SaladConfig
+from salad.data.places import find_places, split
+from salad.evaluation import evaluate
+from salad.model.describer import Describer
+from salad.model.weights import load
+from salad.train.choose import precision_held_out
+from salad.train.recipe import PRESETS
+from salad.train.shelf import Shelf
+
+SHARES = (0.1, 0.2, 0.35, 0.5, 0.68, 0.8)
+SMALL = [each for each in SETS if each.name not in ("toy", "nordland64")]
+
+
+def with_share(model: Describer, share: float) -> Describer:
+    """The same weights under a dustbin that takes so much."""
+    aggregator = model.config.aggregator
+    if not isinstance(aggregator, SaladConfig) or not aggregator.dustbin:
+        raise SystemExit(f"{model.name} has no dustbin of its own: give a SALAD model")
+    config = replace(
+        model.config,
+        aggregator=replace(aggregator, dustbin_share=share),
+        calibration=Calibration(centred=True),
+    )
+    made = Describer(config).eval()
+    made.load_state_dict(model.state_dict())
+    return made
+
+
+def recalls(model: Describer, data: Path) -> Iterator[str]:
+    """R@1 on each set that is there: plain / centred."""
+    for each in SMALL:
+        if (data / each.name).is_dir():
+            read = each.read(data)
+            with TemporaryDirectory() as cache:
+                plain, centred = (
+                    evaluate(read, model, ks=(1,), plain=plain, cache=Path(cache)).recall[1]
+                    for plain in (True, False)
+                )
+            yield f"{each.name} {plain:.1f} / {centred:.1f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("models", nargs="*", default=["salad-lite"], metavar="MODEL")
+    parser.add_argument("--shares", nargs="+", type=float, default=list(SHARES), metavar="SHARE")
+    parser.add_argument("--data", type=Path, default=DATA.parent, help="holds train/ and eval/")
+    asked = parser.parse_args()
+    recipe = PRESETS["salad-lite"].recipe
+    _, held_out = split(find_places(asked.data / "train"), held_out=recipe.held_out, seed=recipe.seed)
+    for name in asked.models:
+        model = load(name)
+        with Shelf(model.preprocessing) as shelf:
+            for share in asked.shares:
+                made = with_share(model, share)
+                figures = told(precision_held_out(made, held_out, shelf))
+                print(
+                    f"{name} {share}: {figures} | " + "  ".join(recalls(made, asked.data / "eval")),
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()
