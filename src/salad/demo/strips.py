@@ -82,8 +82,8 @@ def _reference(one: Judged, match: Match, pictures: Pictures) -> str:
         match.photo.path, f"Reference {name}, {away}, score {match.score:.2f}", width=REFERENCE_WIDTH
     )
     return (
-        f'<figure class="reference {kind}">{picture}<figcaption><span class="score" title="how alike the '
-        f'two descriptors are; 1 is the same picture">{match.score:.2f}</span> <span class="away">{away}</span></figcaption></figure>'
+        f'<figure class="reference {kind}">{picture}<figcaption><span class="score" title="how alike; '
+        f'1 is the same picture">{match.score:.2f}</span> <span class="away">{away}</span></figcaption></figure>'
     )
 
 
