@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from aggregator import machine
-from calibration import APART_M, DATA, SEED, Question, Rows, Shown, fitting, held_out
+from calibration import APART_M, DATA, SEED, Question, Shown, fitting, held_out
+from centring import unit
 from PIL import Image, ImageOps
 
 import salad
@@ -37,12 +38,6 @@ def cropped(image: Image.Image) -> Image.Image:
     """The photo without a tenth of it on every side."""
     w, h = image.size
     return image.crop((w // 10, h // 10, w - w // 10, h - h // 10))
-
-
-def unit(rows: Rows) -> Rows:
-    """The same rows at length 1."""
-    scaled: Rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    return scaled
 
 
 def query_help(model: Describer, here: Question, far: Question) -> None:

@@ -142,6 +142,8 @@ def main() -> None:
     unknown = set(grids) - set(GRIDS)
     if unknown:
         parser.error(f"there is no grid {unknown.pop()!r}: choose among {', '.join(GRIDS)}")
+    if asked.what == "write" and asked.grids:
+        parser.error(f"write makes the whole page: leave {' '.join(asked.grids)} away")
     sets = asked.sets.split(",")
     if set(sets) - set(every):
         parser.error(f"--sets {asked.sets}: choose among {', '.join(every)}")

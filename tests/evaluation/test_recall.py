@@ -152,6 +152,8 @@ class TestRank:
                 rank(bad, ones, k=1)
             with pytest.raises(BenchmarkError, match=r"reference 1 .*NaN"):
                 rank(ones, bad, k=1)
+            with pytest.raises(BenchmarkError, match=r"reference 1 .*NaN"):
+                nearest(Held(ones), Held(bad), k=1, centred=True)
 
 
 @st.composite
