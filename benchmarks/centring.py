@@ -88,7 +88,7 @@ def main() -> None:
     if asked.sets:
         places = [place for place in places if place.city.startswith(tuple(asked.sets))]
     else:
-        _, places = split(places, held_out=recipe.held_out, seed=recipe.seed)
+        _, places = split(places, held_out=recipe.held_out, seed=recipe.splits_by)
     print(f"mean average precision by share of the mean; {SHARE} is what salad uses")
     for name in asked.models:
         measured(name, places)

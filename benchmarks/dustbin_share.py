@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA.parent, help="holds train/ and eval/")
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite"].recipe
-    _, held_out = split(find_places(asked.data / "train"), held_out=recipe.held_out, seed=recipe.seed)
+    _, held_out = split(find_places(asked.data / "train"), held_out=recipe.held_out, seed=recipe.splits_by)
     for name in asked.models:
         model = load(name)
         with Shelf(model.preprocessing) as shelf:

@@ -64,7 +64,7 @@ def measured(
 ) -> dict[str, float]:
     """Train a row without the sets left out, and measure what was best on places held out of the others."""
     model = load(train(made, known, to=run, tokens=tokens))
-    _, held_out = split(known, held_out=made.recipe.held_out, seed=made.recipe.seed)
+    _, held_out = split(known, held_out=made.recipe.held_out, seed=made.recipe.splits_by)
     with Shelf(model.preprocessing) as shelf:
         new = precision_held_out(model, held_out, shelf)
         other = precision_held_out(model, unknown, shelf)

@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--weights", type=float, nargs="+", default=WEIGHTS)
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite-route"].recipe
-    _, held_out = split(find_places(asked.data), held_out=recipe.held_out, seed=recipe.seed)
+    _, held_out = split(find_places(asked.data), held_out=recipe.held_out, seed=recipe.splits_by)
     model = load(asked.model)
     with Shelf(model.preprocessing) as shelf:
         photos = [shelf.array(photo) for place in held_out for photo in place.photos]

@@ -49,7 +49,7 @@ def main() -> None:
     run = asked.to / "-".join((*asked.leave_out, asked.augment, asked.sampler))
     train(replace(preset, recipe=recipe), known, to=run)
     saved = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
-    _, held_out = split(known, held_out=recipe.held_out, seed=recipe.seed)
+    _, held_out = split(known, held_out=recipe.held_out, seed=recipe.splits_by)
     print(
         f"{asked.steps} steps, {asked.augment}, {asked.sampler}, seed {asked.seed}; "
         f"precision on {', '.join(asked.leave_out)} | on places held out"

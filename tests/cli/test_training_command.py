@@ -68,6 +68,7 @@ def test_every_setting_reaches_the_recipe() -> None:
         "save_every": 13,
         "precision": "16-mixed",
         "seed": 17,
+        "split_seed": 5,
         "tuned_blocks": 0,
         "cache_versions": 19,
         "full_steps": 2,

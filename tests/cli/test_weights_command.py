@@ -212,3 +212,28 @@ def test_a_vocabulary_of_a_model_nobody_knows_asks_for_it(
     assert ran.code == 2
     assert "was made with 'tiny', which is not in the zoo" in ran.err
     assert not (tmp_path / "a").exists()
+
+
+# --- mean ----------------------------------------------------------------------------------
+
+
+def test_a_mean_of_two_is_a_model(cli: Any, tmp_path: Path) -> None:
+    config = ModelConfig("tiny", LiteConfig(blocks=1), SceneConfig(16), Preprocessing(24, 24))
+    two = [write_folder(build(config, seed=seed), tmp_path / f"{seed}") for seed in range(2)]
+    to = tmp_path / "mean"
+    ran = cli("weights", "mean", *two, "--to", to)
+    assert (ran.code, ran.out) == (0, f"{to}\n")
+    first, second, made = (load_file(folder / "model.safetensors") for folder in (*two, to))
+    for name, weight in made.items():
+        if weight.is_floating_point():
+            torch.testing.assert_close(weight, (first[name] + second[name]) / 2)
+    again = cli("weights", "mean", *two, "--to", two[0])
+    assert again.code == 2
+    assert "exists already" in again.err
+
+
+def test_a_mean_of_one_is_a_sentence(cli: Any, tmp_path: Path) -> None:
+    ran = cli("weights", "mean", "salad-lite", "--to", tmp_path / "mean")
+    assert (ran.code, ran.out) == (2, "")
+    assert "a mean takes two models or more, not 1" in ran.err
+    assert not (tmp_path / "mean").exists()

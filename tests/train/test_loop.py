@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,9 @@ from salad.errors import BenchmarkError, MissingExtraError, ModelError, Training
 from salad.model.describer import Describer, build
 from salad.model.weights import load
 from salad.train import loop
+from salad.train.choose import Judge, by_places_held_out
 from salad.train.recipe import Recipe
+from salad.train.shelf import Shelf
 
 Teach = Callable[..., Path]
 
@@ -260,6 +262,25 @@ def test_no_block_may_be_trained_at_all(teach: Teach, tmp_path: Path, vit: Model
 def test_without_places_held_out_nothing_is_measured(teach: Teach, tmp_path: Path) -> None:
     teach(tmp_path, recipe={"held_out": 0.0, "tune_steps": 0})
     assert "held_out" not in (tmp_path / "log.jsonl").read_text()
+
+
+def test_runs_of_other_seeds_may_hold_the_same_places_out(
+    teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    apart: list[set[str]] = []
+
+    def watched(places: Sequence[TrainingPlace], shelf: Shelf) -> Judge:
+        apart.append({place.photos[0].parent.name for place in places})
+        return by_places_held_out(places, shelf)
+
+    monkeypatch.setattr(loop, "by_places_held_out", watched)
+    settings = {"head_steps": 1, "tune_steps": 0}
+    for seed in range(4):
+        teach(tmp_path / f"own {seed}", recipe={**settings, "seed": seed})
+        teach(tmp_path / f"same {seed}", recipe={**settings, "seed": seed, "split_seed": 0})
+    own, same = apart[::2], apart[1::2]
+    assert any(each != own[0] for each in own)
+    assert all(each == own[0] for each in same)
 
 
 def test_too_few_places_are_a_sentence(teach: Teach, tmp_path: Path) -> None:

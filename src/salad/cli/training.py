@@ -113,6 +113,8 @@ class Train:
     """Steps between two checkpoints."""
     seed: Number = None
     """Of everything random."""
+    split_seed: Number = None
+    """Of which places are held out, where not --seed: the same for runs to be compared, averaged or gone on with."""
     references: Folder = None
     """Choose by a benchmark: its photos whose places are known."""
     queries: Folder = None

@@ -139,6 +139,26 @@ class Vocabulary:
 
 
 @dataclass(frozen=True)
+class Mean:
+    """Average the weights of models that were trained from one start, as another model."""
+
+    models: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="MODEL", help="Two or more built alike: folders, or names of the zoo."),
+    ]
+    to: Path
+    """The folder to make."""
+
+    def run(self) -> int:
+        """Average."""
+        from salad.model.averaging import mean
+        from salad.model.weights import load, write_folder
+
+        shell.put(str(write_folder(mean([load(each) for each in self.models]), self.to)))
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
 class Weights:
     """See which models there are, and get them onto this machine."""
 
@@ -148,6 +168,7 @@ class Weights:
         | Annotated[Fetch, subcommand("fetch")]
         | Annotated[Convert, subcommand("convert")]
         | Annotated[Vocabulary, subcommand("vocabulary")]
+        | Annotated[Mean, subcommand("mean")]
     )
 
     def run(self) -> int:

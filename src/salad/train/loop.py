@@ -86,7 +86,7 @@ def train(
     """
     recipe, start = preset.recipe, preset.start if start is None else start
     divided(recipe, devices * nodes)
-    learnt, choose = split(places, held_out=recipe.held_out, seed=recipe.seed)
+    learnt, choose = split(places, held_out=recipe.held_out, seed=recipe.splits_by)
     model = build(preset.model, seed=recipe.seed)
     start_backbone(model, start)
     sampler = sampler_of(recipe, learnt)

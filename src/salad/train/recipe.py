@@ -59,6 +59,8 @@ class Recipe:
             the first.
         clique: places in a clique.
         seed: of everything random.
+        split_seed: of which places are held out, where not `seed` too. Runs of other seeds that are to be compared,
+            averaged, or gone on with from one another need the same places held out.
 
     Raises:
         ModelError: a number is out of its range, or two settings do not go together.
@@ -93,6 +95,7 @@ class Recipe:
     mine_every: int = 0
     clique: int = 4
     seed: int = 0
+    split_seed: int | None = None
 
     def __post_init__(self) -> None:
         for name, least in _LEAST.items():
@@ -127,6 +130,11 @@ class Recipe:
     def batch(self) -> int:
         """Photos in a batch."""
         return self.places * self.views
+
+    @property
+    def splits_by(self) -> int:
+        """The seed by which places are held out."""
+        return self.seed if self.split_seed is None else self.split_seed
 
     def cached(self, blocks: int) -> bool:
         """Whether a stage that trains so many blocks learns from tokens kept on disk."""
@@ -167,7 +175,7 @@ _FROM_ZERO = (
         "tuned_share",
         "clip",
     ),
-    *("tuned_blocks", "held_out", "cache_versions", "mine_every", "seed", "full_steps"),
+    *("tuned_blocks", "held_out", "cache_versions", "mine_every", "seed", "split_seed", "full_steps"),
 )
 _FROM_ONE = ("epochs", "decay_over", "measure_every", "save_every", "size", "at_once")
 _FROM_TWO = ("places", "views", "clique")  # nothing can be told apart, or drawn together, with fewer
