@@ -2,7 +2,7 @@
 
 `python observed_run.py PHOTOS TO WHAT` with WHAT as JSON: settings of the recipe, `devices`, where to `wait` to be
 killed, and `runs` to make one after another, by name. With several devices this very command is started once more for
-each of the others.
+each of the others; with several `nodes`, whoever calls it starts it once for each.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ RECIPE: dict[str, Any] = {
 }
 
 
-def observed(photos: Path, to: Path, *, devices: int = 1, **recipe: Any) -> list[dict[str, Any]]:
+def observed(
+    photos: Path, to: Path, *, devices: int = 1, nodes: int = 1, resume: bool = False, **recipe: Any
+) -> list[dict[str, Any]]:
     """Train; each step's loss and gradients as this process had them, and the photos it read."""
     seen: list[dict[str, Any]] = []
     read: list[str] = []
@@ -73,6 +75,8 @@ def observed(photos: Path, to: Path, *, devices: int = 1, **recipe: Any) -> list
             to=to,
             accelerator="cpu",
             devices=devices,
+            nodes=nodes,
+            resume=resume,
             say=lambda _: None,
         )
     return seen
@@ -88,9 +92,9 @@ def waiting(where: str) -> Iterator[None]:
         print("waiting", flush=True)  # noqa: T201  # to the test that kills
         time.sleep(600)
 
-    def saving(state: dict[str, Any], file: Any) -> None:
-        save(state, file)
-        if at == "saving" and state["step"] == int(number):
+    def saving(state: Any, file: Any, **options: Any) -> None:
+        save(state, file, **options)
+        if at == "saving" and isinstance(state, dict) and state["step"] == int(number):
             file.truncate(file.tell() // 2)
             wait()
 
@@ -111,4 +115,6 @@ if __name__ == "__main__":
     with waiting(settings.pop("wait", "step 1000000")):
         for name, more in runs.items():
             to = Path(sys.argv[2]) / name
-            torch.save(observed(Path(sys.argv[1]), to, **settings, **more), to / f"seen-{rank()}.pt")
+            seen = observed(Path(sys.argv[1]), to, **settings, **more)
+            to.mkdir(exist_ok=True)  # on a machine where no process writes
+            torch.save(seen, to / f"seen-{rank()}.pt")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ SCRIPT = Path(__file__).with_name("observed_run.py")
 Teach = Callable[..., Path]
 
 
+QUIET = {"OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": "lo", "PYTHONWARNINGS": "ignore"}
 RUNS: dict[str, dict[str, Any]] = {"whole": {"at_once": None}, "in parts": {"at_once": 2}}
 
 
@@ -29,10 +31,9 @@ def both(photo_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Runs of two processes, one after the other."""
     to = tmp_path_factory.mktemp("two")
     what = json.dumps({"devices": 2, "runs": RUNS})
-    quiet = {"OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": "lo", "PYTHONWARNINGS": "ignore"}
     ran = subprocess.run(
         [sys.executable, str(SCRIPT), str(photo_folder), str(to), what],
-        env=os.environ | quiet,
+        env=os.environ | QUIET,
         capture_output=True,
         text=True,
         check=False,
@@ -68,6 +69,69 @@ def test_two_processes_learn_what_one_learns(
             two[key], wanted, rtol=2e-3, atol=2e-3, msg=key
         )  # AdamW makes signs of crumbs
     assert len((both / name / "log.jsonl").read_text().splitlines()) == 3  # one process writes
+
+
+@pytest.fixture
+def machines(photo_folder: Path) -> Iterator[Callable[..., list[subprocess.Popen[str]]]]:
+    """`machines([folder, ...])`: the same command on as many, each with a folder of its own; all are this one."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(folders: Sequence[Path], **settings: Any) -> list[subprocess.Popen[str]]:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = str(free.getsockname()[1])
+        what = json.dumps({"nodes": len(folders), **settings})
+        for rank, folder in enumerate(folders):
+            where = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "NODE_RANK": str(rank)}
+            started.append(
+                subprocess.Popen(
+                    [sys.executable, str(SCRIPT), str(photo_folder), str(folder), what],
+                    env=os.environ | QUIET | where,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                )
+            )
+        return started[-len(folders) :]
+
+    yield start
+    _kill(started)
+
+
+def _kill(machines: Sequence[subprocess.Popen[str]]) -> None:
+    for machine in machines:
+        machine.kill()
+        if machine.stdout is not None and not machine.stdout.closed:
+            machine.communicate()
+
+
+def _ended(machines: Sequence[subprocess.Popen[str]]) -> None:
+    for machine in machines:
+        _, err = machine.communicate(timeout=120)
+        assert machine.returncode == 0, err
+
+
+def test_two_machines_learn_what_one_learns_and_go_on_without_a_disk_in_common(
+    photo_folder: Path,
+    tmp_path: Path,
+    observed: Callable[..., list[dict[str, Any]]],
+    machines: Callable[..., list[subprocess.Popen[str]]],
+) -> None:
+    """The checkpoint lies with the first machine alone; both are killed behind it, and started once more."""
+    observed(photo_folder, tmp_path / "alone")
+    folders = [tmp_path / "first", tmp_path / "second"]
+    killed = machines(folders, wait="step 3")
+    for machine in killed:
+        assert machine.stdout is not None
+        assert machine.stdout.readline() == "waiting\n"
+    _kill(killed)
+    assert torch.load(folders[0] / "last.ckpt")["step"] == 3
+    assert not folders[1].exists()
+    _ended(machines(folders, resume=True))
+    assert [len(torch.load(folder / f"seen-{rank}.pt")) for rank, folder in enumerate(folders)] == [3, 3]
+    one, two = (load_file(tmp_path / run / "last" / "model.safetensors") for run in ("alone", "first"))
+    for key, wanted in one.items():
+        torch.testing.assert_close(two[key], wanted, rtol=2e-3, atol=2e-3, msg=key)
 
 
 def test_a_batch_that_leaves_a_process_without_a_photo_is_a_sentence(teach: Teach, tmp_path: Path) -> None:

@@ -93,9 +93,14 @@ def train(
     head, end = steps_of(recipe, sampler)
     judged_by = "benchmark" if judge else "held_out"
     identity = runfolder.identity(recipe, preset.model, places, start=start, judge=judged_by)
-    saved = runfolder.take_up(to, identity, steps=end, resume=resume)
+    saved = runfolder.take_up(to, identity)
+    if resume and nodes == 1:  # before other processes are started, which would say the same
+        runfolder.insist(to, saved, steps=end)
     fabric = launched(accelerator, recipe.precision, devices=devices, nodes=nodes)
     first = fabric.is_global_zero
+    saved = fabric.broadcast(saved)  # what the first process wrote may lie on another machine's disk
+    if resume and nodes > 1:
+        runfolder.insist(to, saved, steps=end)
     with closing(Feed(model, recipe, learnt, sampler=sampler, fabric=fabric)) as feed:
         if judge is None and choose:
             judge = by_places_held_out(choose, feed.in_use)

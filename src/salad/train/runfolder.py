@@ -68,32 +68,38 @@ def resolved(preset: Preset, places: Sequence[TrainingPlace], *, start: str, ste
     }
 
 
-def take_up(folder: Path, mine: Mapping[str, Any], *, steps: int, resume: bool) -> dict[str, Any] | None:
+def take_up(folder: Path, mine: Mapping[str, Any]) -> dict[str, Any] | None:
     """What the run in `folder` saved last; None where there is none.
 
     Args:
         folder: the run's.
         mine: the `identity` of the run to go on with.
-        steps: where it ends.
-        resume: whether there has to be one that has not ended.
 
     Raises:
         ModelError: the run found there is another one.
-        TrainingError: its checkpoint cannot be read; or `resume` was asked for, and there is nothing to resume.
+        TrainingError: its checkpoint cannot be read.
     """
     path = folder / CHECKPOINT
     if not path.is_file():
-        if resume:
-            raise TrainingError(f"there is no run in {folder} to go on with: leave --resume out to begin one")
         return None
     saved = _read(path)
     _compare(path, saved, mine)
-    if resume and saved["step"] >= steps and (folder / MODEL).is_dir():
+    return saved
+
+
+def insist(folder: Path, saved: Mapping[str, Any] | None, *, steps: int) -> None:
+    """Refuse to begin a run where one was to be gone on with, up to `steps`.
+
+    Raises:
+        TrainingError: nothing was saved, or all steps were made and the model is there.
+    """
+    if saved is None:
+        raise TrainingError(f"there is no run in {folder} to go on with: leave --resume out to begin one")
+    if saved["step"] >= steps and (folder / MODEL).is_dir():
         raise TrainingError(
             f"the run in {folder} has ended after {saved['step']} steps, and its model is {folder / MODEL}: "
             "choose another folder with --to"
         )
-    return saved
 
 
 def _read(path: Path) -> dict[str, Any]:
