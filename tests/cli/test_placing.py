@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from salad.cli.placing import Places
+from salad.cli.placing import _ADVICE, Places
+from salad.data.cells import Reason
 from salad.data.places import find_places
 from salad.geo import GeoPoint, shifted
 from salad.photos import save_jpeg
@@ -108,10 +109,25 @@ def test_no_place_writes_no_table(streets: Path, tmp_path: Path, capsys: pytest.
     code, out, err = ran(Places((str(streets / "nowhere.jpg"),), to), capsys)
     assert (code, out) == (1, "")
     assert "left out, no position" in err
+    assert "nothing is written; most photos: no position. Name a table" in err
     assert not to.exists()
     code, out, _ = ran(Places((str(streets / "nowhere.jpg"),), to, format="json"), capsys)
     assert code == 1
     assert '"table": null' in out
+
+
+@pytest.mark.parametrize("pattern", ["*.jpg", "2-*.jpg"])
+def test_too_few_photos_of_each_place_are_told_with_what_to_do(
+    streets: Path, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = tuple(map(str, streets.glob(pattern)))
+    code, out, err = ran(Places(photos, tmp_path / "places.csv", fewest=6), capsys)
+    assert (code, out) == (1, "")
+    assert "most photos: too few in their cell. Take larger cells (--cell)" in err
+
+
+def test_every_reason_has_its_advice() -> None:
+    assert set(_ADVICE) == set(get_args(Reason))
 
 
 @pytest.mark.parametrize("to", ["gone/places.csv", "."])

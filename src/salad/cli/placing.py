@@ -14,12 +14,19 @@ from salad.cli.arguments import Form, Photos, Table
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
-    from salad.data.cells import Found
+    from salad.data.cells import Found, Reason
     from salad.photos import Photo, PhotoTable
 
 Metres = Annotated[float, arg(metavar="METRES")]
 Degrees = Annotated[float, arg(metavar="DEGREES")]
 Count = Annotated[int, arg(metavar="N")]
+
+_ADVICE: dict[Reason, str] = {
+    "no position": "Name a table that has their positions with --table.",
+    "unreadable": "Fetch them again, or save them as JPEG.",
+    "too few in their cell": "Take larger cells (--cell), a wider --turn, or fewer photos of each (--fewest).",
+    "too near another place": "Let places stand closer (--apart).",
+}
 
 
 @dataclass(frozen=True)
@@ -93,6 +100,9 @@ class Places:
             shell.say(f"{name:<{wide}}  {value}")
         if found.places:
             shell.put(str(self.to))
+            return
+        most = max(found.left_out, key=lambda reason: len(found.left_out[reason]))
+        shell.say(f"no place was found, so nothing is written; most photos: {most}. {_ADVICE[most]}")
 
 
 def _rows(told: dict[str, Any]) -> list[tuple[str, Any]]:

@@ -195,7 +195,10 @@ class CliqueSampler(_EpochSampler):
 
 def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:
     if len(places) < per_batch:
-        raise BenchmarkError(f"a batch needs {per_batch} places, but there are {len(places)}")
+        raise BenchmarkError(
+            f"a batch needs {per_batch} places, but there are {len(places)} to learn from: take photos of more places, "
+            "hold a smaller share of them out, or draw fewer for a batch"
+        )
 
 
 def _views(
