@@ -51,8 +51,9 @@ def add(index: Index, rows: np.ndarray, *, first: int = 0) -> None:
     index.add([Photo(Path("/photos", name)) for name in names], rows, identities=names)
 
 
-def test_it_is_the_formula(made: Make) -> None:
-    rows, queries = leaning(0, 40), leaning(1, 7)
+@pytest.mark.parametrize("count", [7, centring._STEP, 2 * centring._STEP + 9])
+def test_it_is_the_formula(made: Make, count: int) -> None:
+    rows, queries = leaning(0, 40), leaning(1, count)
     due = oracle(queries, rows)
     for number, matches in enumerate(made(rows).search(queries, k=40, centred=True)):
         assert [match.row for match in matches] == np.argsort(-due[number]).tolist()

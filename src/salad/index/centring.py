@@ -26,7 +26,7 @@ Mean: TypeAlias = npt.NDArray[np.float64]
 
 SHARE = 0.5  # of the mean: benchmarks/centring.py compares others
 MOST = 4096  # photos that a mean is taken of: its error is then a hundredth of a descriptor's length
-_STEP = 256  # rows widened at once
+_STEP = 256  # rows or queries widened at once
 
 
 def centred(queries: Queries, mean: Mean) -> tuple[Queries, npt.NDArray[np.float64]]:
@@ -36,7 +36,10 @@ def centred(queries: Queries, mean: Mean) -> tuple[Queries, npt.NDArray[np.float
         The queries to search by, and what to add to the scores of each: `[Q]`.
     """
     lean = SHARE * mean
-    return (queries - lean).astype(np.float32), queries @ lean
+    back = np.zeros(len(queries))
+    for low in range(0, len(queries), _STEP):
+        back[low : low + _STEP] = queries[low : low + _STEP] @ lean
+    return np.subtract(queries, lean, dtype=np.float32), back
 
 
 def mean_of(rows: Rows, alive: Mask) -> Mean:
