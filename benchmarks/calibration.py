@@ -5,8 +5,9 @@
 Fitted on the training photos alone. The index: street photos of one city, all of the places that were trained on
 and the older ones of the places held out. The queries: the newest photos of the places held out, once as they are
 and once with their place taken out of the index; and photos of the other sets' held-out places, which are nowhere
-near. Whatever is printed of these is out of fold, by place. Then, never fitted on: `sfxl-30`, and Gardens Point
-against its index. `--write` puts the calibration into a model's folder.
+near. All are asked of large indexes and small ones, with many photos of a place and with one. Whatever is printed of
+these is out of fold, by place. Then, never fitted on: `sfxl-30`, and Gardens Point against its index. `--write` puts
+the calibration into a model's folder.
 """
 
 from __future__ import annotations
@@ -74,8 +75,21 @@ class Question:
 
     def smaller(self) -> Question:
         """The same queries beside their own places' photos alone."""
-        own = Shown(self.index.photos[: self.own], self.index.rows[: self.own])
-        return replace(self, index=own)
+        return self._beside(np.arange(self.own))
+
+    def sparser(self) -> Question:
+        """The same queries beside an index of which no two photos stand as close as those of a place do."""
+        lat, lon = degrees(self.index)
+        left = np.random.default_rng(SEED).permutation(len(lat))
+        kept = []
+        while len(left):
+            kept.append(left[0])
+            left = left[metres(lat[left], lon[left], lat[left[0]], lon[left[0]]) > APART_M]
+        return self._beside(np.sort(kept))
+
+    def _beside(self, rows: npt.NDArray[np.int64]) -> Question:
+        index = Shown([self.index.photos[row] for row in rows], self.index.rows[rows])
+        return replace(self, index=index, own=int((rows < self.own).sum()))
 
     def cases(self, *, taken_out: bool = False, near: bool = True) -> list[Case]:
         """What the index says of each query; with its own place taken out of it, or not near at all, if asked."""
@@ -185,13 +199,14 @@ def table(judged: Judged) -> None:
 def fitting(here: Question, far: Question) -> dict[str, list[Case]]:
     """The cases a calibration is fitted on, each kind with the weight that `MIXTURE` gives it.
 
-    Every query is asked of a large index and of a small one, since users have both.
+    Every query is asked of a large index and of a small one, of dense ones and of sparse ones, since users have all.
     """
-    sizes = ((here, far), (here.smaller(), far.smaller()))
+    pairs = [(here, far), (here.sparser(), far.sparser())]
+    pairs += [(near.smaller(), strange.smaller()) for near, strange in pairs]
     kinds = {
-        "with an answer": [case for near, _ in sizes for case in near.cases()],
-        "own place taken out": [case for near, _ in sizes for case in near.cases(taken_out=True)],
-        "strangers": [case for _, strange in sizes for case in strange.cases(near=False)],
+        "with an answer": [case for near, _ in pairs for case in near.cases()],
+        "own place taken out": [case for near, _ in pairs for case in near.cases(taken_out=True)],
+        "strangers": [case for _, strange in pairs for case in strange.cases(near=False)],
     }
     whole = sum(map(len, kinds.values()))
     return {
@@ -204,8 +219,8 @@ def provenance(model: Describer, here: Question, far: Question, city: str) -> st
     """What the numbers were fitted on."""
     return (
         f"benchmarks/calibration.py, {datetime.date.today()}, model {model.fingerprint}: {len(here.names)} queries of "
-        f"{len(set(here.names))} places held out of {city}, beside {len(here.index.photos)} and {here.own} photos, "
-        f"with and without their place, and {len(far.names)} photos of elsewhere"
+        f"{len(set(here.names))} places held out of {city}, beside {len(here.index.photos)} and {here.own} photos and "
+        f"one of each place, with and without their place, and {len(far.names)} photos of elsewhere"
     )
 
 
@@ -215,6 +230,9 @@ def measured(model: Describer, data: Path, calibration: Calibration) -> Judged:
     limit, seen = calibration.min_confidence, judge(street.cases(), calibration)
     say("sfxl-30", seen, limit)
     say("sfxl-30, own place taken out", judge(street.cases(taken_out=True), calibration), limit)
+    sparse = street.sparser()
+    say("sfxl-30, a photo a place", judge(sparse.cases(), calibration), limit)
+    say("  own place taken out", judge(sparse.cases(taken_out=True), calibration), limit)
     say("Gardens Point beside sfxl-30", judge(gardens.cases(near=False), calibration), limit)
     return seen
 
