@@ -216,65 +216,55 @@ def test_batches_of_a_city_are_even() -> None:
     assert sorted(map(len, epoch(sampler))) == [5, 6, 6]
 
 
-def test_where_nobody_may_stand_beside_another_there_is_nothing_to_learn() -> None:
-    with pytest.raises(BenchmarkError, match="no two of the 3 places may stand in one batch"):
-        OneCitySampler(made({"a": 3}, step_m=10), per_batch=2, views=1, seed=0)
-
-
 @settings(max_examples=30)
 @given(st.data(), st.integers(2, 8), st.sampled_from([None, 150.0, 45.0]), st.integers(0, 999))
-def test_cliques_stay_together_and_everybody_has_a_turn(
+def test_cliques_stay_together_and_near_places_apart(
     data: st.DataObject, per_batch: int, step_m: float | None, seed: int
 ) -> None:
     places = made({"a": 30, "b": 10}, step_m=step_m)
-    order = data.draw(st.permutations(range(0, 40, 3)))  # so no two places of a clique are near in one city
-    sizes = data.draw(st.lists(st.integers(2, 5), max_size=4))
-    ends = list(itertools.accumulate(sizes))
-    cliques = [
-        sorted(order[end - size : end]) for size, end in zip(sizes, ends, strict=True) if end <= len(order)
-    ]
-    cliques = [clique for clique in cliques if len({number % 30 for number in clique}) == len(clique)]
-    sampler = CliqueSampler(places, per_batch=per_batch, views=2, seed=seed, cliques=_far(places, cliques))
-    for number in (0, 3):
-        sets = [[places.index(place) for place in shown(batch)] for batch in epoch(sampler, number)]
-        everyone = Counter(itertools.chain.from_iterable(sets))
-        assert max(everyone.values()) == 1
-        if step_m is None:
-            assert len(everyone) >= len(places) - 1
-        for numbers in sets:
-            assert 2 <= len(numbers) <= per_batch
-            assert_apart([places[place] for place in numbers], 100)
-        for clique in _far(places, cliques):
-            if len(clique) <= per_batch:
-                assert sum(set(clique) <= set(numbers) for numbers in sets) == 1
+    order = data.draw(st.permutations(range(40)))
+    sizes = data.draw(st.lists(st.integers(2, 5), max_size=8))
+    cliques = [order[end - size : end] for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
+    sampler = CliqueSampler(places, per_batch=per_batch, views=2, seed=seed, cliques=cliques)
+    for number in range(6):
+        batch = sampler.batch(number)
+        check_views(batch, 2)
+        together = shown(batch)
+        assert 2 <= len(together) <= per_batch
+        assert_apart(together, 100)
+        if step_m is None:  # nobody has to wait
+            assert len(together) == per_batch
+            met = [len({places.index(place) for place in together} & set(clique)) for clique in cliques]
+            parts = [count for count, clique in zip(met, cliques, strict=True) if 0 < count < len(clique)]
+            assert len(parts) <= 1  # the last one, cut
 
 
-def _far(places: list[TrainingPlace], cliques: list[list[int]]) -> list[list[int]]:
-    """The cliques without two places near to each other."""
+def test_cliques_leave_each_place_its_chance() -> None:
+    places = made({"large": 90, "small": 10})
+    cliques = [[0, 10, 20, 30], [1, 11], [90, 91, 92]]
+    mixed = MixedSampler(places, per_batch=16, views=1, seed=0)
+    sampler = CliqueSampler(places, per_batch=16, views=1, seed=0, cliques=cliques)
+    drawn, asked = (
+        Counter(place for number in range(2000) for place in shown(each.batch(number)))
+        for each in (sampler, mixed)
+    )
+    for place in places:
+        assert drawn[place] == pytest.approx(asked[place], rel=0.3)
+    for number, clique in (
+        (50, cliques[0]),
+        (51, cliques[1]),
+        (95, cliques[2]),
+    ):  # nor for those they bring along
+        for place in clique:
+            assert drawn[places[place]] == pytest.approx(drawn[places[number]], rel=0.3)
 
-    def near(one: int, other: int) -> bool:
-        a, b = places[one].where, places[other].where
-        return bool(a and b and metres_between(a, b) < 100)
 
-    return [
-        clique for clique in cliques if not any(near(*pair) for pair in itertools.combinations(clique, 2))
-    ]
-
-
-def test_cliques_fill_batches_before_others_do() -> None:
-    places = made({"a": 40})
-    cliques = [[0, 10, 20, 30], [1, 11, 21, 31], [2, 12, 22, 32], [3, 13, 23, 33]]
-    sampler = CliqueSampler(places, per_batch=8, views=1, seed=0, cliques=cliques)
-    filled = [{int(view.place.name) % 10 for view in batch} for batch in epoch(sampler)]
-    assert sorted(len(kinds) for kinds in filled)[:2] == [2, 2]  # two batches of two cliques each
-
-
-def test_a_clique_longer_than_a_batch_is_cut() -> None:
+def test_a_clique_longer_than_a_batch_is_cut_anywhere() -> None:
     sampler = CliqueSampler(made({"a": 12}), per_batch=4, views=1, seed=0, cliques=[list(range(10))])
-    sets = [{int(view.place.name) for view in batch} for batch in epoch(sampler)]
-    assert {0, 1, 2, 3} in sets
-    assert {4, 5, 6, 7} in sets
-    assert sum(map(len, sets)) == 12
+    batches = [{int(view.place.name) for view in sampler.batch(number)} for number in range(60)]
+    of_clique = [batch for batch in batches if batch <= set(range(10))]
+    assert len(of_clique) > 10  # where it was drawn first
+    assert set().union(*of_clique) == set(range(10))
 
 
 @pytest.mark.parametrize("cliques", [[[0, 1], [1, 2]], [[0, 12]], [[-1, 3]]])
@@ -283,6 +273,26 @@ def test_cliques_of_other_places_are_refused(cliques: list[list[int]]) -> None:
         CliqueSampler(made({"a": 12}), per_batch=4, views=1, seed=0, cliques=cliques)
 
 
-def test_a_clique_of_near_places_is_refused() -> None:
-    with pytest.raises(BenchmarkError, match="two places nearer than 100 m to each other"):
-        CliqueSampler(made({"a": 12}, step_m=60), per_batch=4, views=1, seed=0, cliques=[[0, 5], [3, 4]])
+def test_near_places_of_a_clique_wait_for_another_batch() -> None:
+    places = made({"a": 12}, step_m=60)
+    sampler = CliqueSampler(places, per_batch=4, views=1, seed=0, cliques=[[0, 5], [3, 4]])
+    taken: Counter[TrainingPlace] = Counter()
+    for number in range(60):
+        together = shown(sampler.batch(number))
+        assert_apart(together, 100)
+        taken.update(together)
+    assert set(taken) == set(places)
+
+
+@pytest.mark.parametrize("which", [1, 2])
+def test_where_nobody_may_stand_beside_another_there_is_nothing_to_learn(which: int) -> None:
+    with pytest.raises(BenchmarkError, match="no two of the 8 places may stand in one batch"):
+        _samplers(made({"a": 8}, step_m=10), per_batch=2)[which]
+
+
+def test_a_place_near_to_all_others_is_left_out_of_cliques() -> None:
+    places = made({"a": 3}, step_m=60)  # the middle one has nobody to stand beside
+    sampler = CliqueSampler(places, per_batch=2, views=1, seed=0, cliques=[[0, 1]])
+    assert {frozenset(shown(sampler.batch(number))) for number in range(9)} == {
+        frozenset({places[0], places[2]})
+    }

@@ -7,11 +7,13 @@ they would count as different; the samplers by epoch see to that where positions
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from jaxtyping import Float64
 
 from salad.data.nearness import Neighbours
 from salad.data.packing import Packing
@@ -50,12 +52,8 @@ class MixedSampler:
         self, places: Sequence[TrainingPlace], *, per_batch: int, views: int, seed: int, mirror: bool = True
     ) -> None:
         _check_enough(places, per_batch)
-        cities = list(by_city(places).values())
-        shares = np.sqrt([len(city) for city in cities])
-        self._chances = np.concatenate(
-            [np.full(len(c), s / len(c)) for c, s in zip(cities, shares / shares.sum(), strict=True)]
-        )
-        self._places = [places[number] for city in cities for number in city]
+        numbers, self._chances = _chances(places)
+        self._places = [places[number] for number in numbers]
         self._per_batch, self._views, self._seed, self._mirror = per_batch, views, seed, mirror
 
     def batch(self, number: int) -> list[View]:
@@ -67,35 +65,47 @@ class MixedSampler:
         )
 
 
-class _EpochSampler:
-    """Every place once an epoch, in batches that are shuffled anew for each.
+class OneCitySampler:
+    """Each batch within one city, every place once an epoch, as the paper trains; each epoch is shuffled anew.
 
-    Batches hold `per_batch` places or fewer, as even as they come: a city's places seldom divide by it. A place
-    that would be alone in its batch teaches nothing and is left out of that epoch.
+    Places of one city look more alike than those of two, so that there is more to learn from each batch. Batches
+    hold `per_batch` places or fewer, as even as they come: a city's places seldom divide by it. A place that would
+    be alone in its batch teaches nothing and is left out of that epoch.
+
+    Args:
+        places: what to draw from.
+        per_batch: most places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        mirror: whether half of the places are mirrored.
+        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
 
     Attributes:
         per_epoch: batches in an epoch.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs, or none that may stand beside another.
     """
 
     def __init__(
         self,
         places: Sequence[TrainingPlace],
-        packings: Sequence[Packing],
         *,
+        per_batch: int,
         views: int,
         seed: int,
-        mirror: bool,
-        apart_m: float,
+        mirror: bool = False,
+        apart_m: float = APART_M,
     ) -> None:
-        self._places, self._packings = places, packings
-        self._views, self._seed, self._mirror = views, seed, mirror
+        _check_enough(places, per_batch)
+        near = Neighbours([place.where for place in places], apart_m)
+        cities = by_city(places).values()
+        self._packings = [Packing([[place] for place in city], near, room=per_batch) for city in cities]
+        self._places, self._views, self._seed, self._mirror = places, views, seed, mirror
         self._epoch, self._batches = -1, list[list[int]]()
         self.per_epoch = len(self._plan(0))
         if not self.per_epoch:
-            raise BenchmarkError(
-                f"no two of the {len(places)} places may stand in one batch, since places of one city lie within "
-                f"{apart_m:g} m of each other: take photos of more places, or train with a smaller distance"
-            )
+            raise _no_two(places, apart_m)
 
     def batch(self, number: int) -> list[View]:
         """The batch of that number, from 0 on; an epoch ends every `per_epoch` batches."""
@@ -115,57 +125,25 @@ class _EpochSampler:
         return self._batches
 
 
-class OneCitySampler(_EpochSampler):
-    """Each batch within one city, every place once an epoch, as the paper trains.
+class CliqueSampler:
+    """Batches of cliques of places that look alike, in which each city takes part as in mixed ones.
 
-    Places of one city look more alike than those of two, so that there is more to learn from each batch.
-
-    Args:
-        places: what to draw from.
-        per_batch: most places in a batch.
-        views: photos of each; a place with fewer shows some of them twice.
-        seed: decides everything.
-        mirror: whether half of the places are mirrored.
-        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
-
-    Raises:
-        BenchmarkError: there are fewer places than a batch needs, or none that may stand beside another.
-    """
-
-    def __init__(
-        self,
-        places: Sequence[TrainingPlace],
-        *,
-        per_batch: int,
-        views: int,
-        seed: int,
-        mirror: bool = False,
-        apart_m: float = APART_M,
-    ) -> None:
-        _check_enough(places, per_batch)
-        near = Neighbours([place.where for place in places], apart_m)
-        cities = by_city(places).values()
-        packings = [Packing([[place] for place in city], near, room=per_batch) for city in cities]
-        super().__init__(places, packings, views=views, seed=seed, mirror=mirror, apart_m=apart_m)
-
-
-class CliqueSampler(_EpochSampler):
-    """Batches filled with cliques of places that look alike; places of no clique fill what is left.
-
-    Every place comes once an epoch, and a clique's places stand together in all of them.
+    Whole cliques are drawn, and places of no clique by themselves, each with the mean chance of its places in a
+    `MixedSampler`: cliques change whom a place meets, hardly how often it comes. The last drawn is cut where its
+    batch is full, and a place near to one that is in it already waits for another batch.
 
     Args:
         places: what to draw from.
         per_batch: most places in a batch.
         views: photos of each; a place with fewer shows some of them twice.
         seed: decides everything.
-        cliques: numbers of places, as `salad.train.mining.mine` gives them; one longer than a batch is cut.
+        cliques: numbers of places, as `salad.train.mining.mine` gives them.
         mirror: whether half of the places are mirrored.
         apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
 
     Raises:
         BenchmarkError: there are fewer places than a batch needs or none that may stand beside another; or a
-            place is in two cliques, in none of the places, or beside a near one.
+            place is in two cliques, or in none of the places.
     """
 
     def __init__(
@@ -186,11 +164,56 @@ class CliqueSampler(_EpochSampler):
                 f"a clique names a place twice, or one that is not among the {len(places)} places: mine the cliques "
                 "anew from the places they are to be used with"
             )
-        cut = [clique[at : at + per_batch] for clique in cliques for at in range(0, len(clique), per_batch)]
+        self._near = Neighbours([place.where for place in places], apart_m)
+        numbers, chances = _chances(places)
+        # A place near to all others would be alone in its batch, and teach nothing.
+        of = {
+            number: chance
+            for number, chance in zip(numbers, chances.tolist(), strict=True)
+            if len(self._near.of(number)) < len(places) - 1
+        }
+        if not of:
+            raise _no_two(places, apart_m)
         alone = sorted(set(range(len(places))) - set(taken))
-        near = Neighbours([place.where for place in places], apart_m)
-        packing = Packing([*cut, *([place] for place in alone)], near, room=per_batch)
-        super().__init__(places, [packing], views=views, seed=seed, mirror=mirror, apart_m=apart_m)
+        together = [
+            [place for place in clique if place in of] for clique in [*cliques, *([n] for n in alone)]
+        ]
+        self._groups = [group for group in together if group]
+        self._chances = np.array([sum(of[place] for place in group) / len(group) for group in self._groups])
+        self._places, self._per_batch, self._views = places, per_batch, views
+        self._seed, self._mirror = seed, mirror
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on."""
+        chance = np.random.default_rng((self._seed, number))
+        # waiting times: the same as to draw one after another, each by its chance among those that are left
+        order = np.argsort(chance.exponential(size=len(self._chances)) / self._chances).tolist()
+        drawn, shut = list[int](), set[int]()
+        for place in itertools.chain.from_iterable(
+            chance.permutation(self._groups[group]).tolist() for group in order
+        ):
+            if len(drawn) == self._per_batch:
+                break
+            if place not in shut:
+                drawn.append(place)
+                shut.update(self._near.of(place).tolist())
+        shown = [self._places[place] for place in drawn]
+        return _views(shown, chance, views=self._views, mirror=self._mirror)
+
+
+def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], Float64[np.ndarray, " places"]]:
+    """Places' numbers, city by city, and the chance of each: a city's is the square root of its size."""
+    cities = list(by_city(places).values())
+    shares = np.sqrt([len(city) for city in cities])
+    chances = [np.full(len(c), s / len(c)) for c, s in zip(cities, shares / shares.sum(), strict=True)]
+    return [number for city in cities for number in city], np.concatenate(chances)
+
+
+def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
+    return BenchmarkError(
+        f"no two of the {len(places)} places may stand in one batch, since places of one city lie within "
+        f"{apart_m:g} m of each other: take photos of more places, or train with a smaller distance"
+    )
 
 
 def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:

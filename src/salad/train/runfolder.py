@@ -121,7 +121,10 @@ def _compare(path: Path, saved: Mapping[str, Any], mine: Mapping[str, Any]) -> N
     for key, wanted in mine.items():
         if theirs.get(key) != wanted and not (key in _YOUNGER and theirs[key] is None):
             what = f"{key} ({_differing(theirs[key], wanted)})" if key == "recipe" else key
-            raise ModelError(f"{path} belongs to a run of another {what}; choose another folder with --to")
+            raise ModelError(
+                f"{path} belongs to a run of another {what}: to go on with it, give what it was begun with; "
+                "to begin another, choose another folder with --to"
+            )
 
 
 def _differing(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
