@@ -27,7 +27,7 @@ from reliability import diagram
 
 import salad
 from salad.config import Calibration
-from salad.data.places import TrainingPlace, find_places, split
+from salad.data.places import TrainingPlace, find_places
 from salad.geo import GeoPoint, metres
 from salad.index import Match, centring
 from salad.model.describer import Describer
@@ -129,7 +129,7 @@ def held_out(model: Describer, data: Path, city: str, *, centred: bool) -> tuple
     """The queries of the city's held-out places beside its index, and strangers beside the same index."""
     name = model.name if model.name in PRESETS else "salad-lite"
     recipe = preset(name).recipe
-    learnt, apart = split(find_places(data), held_out=recipe.held_out, seed=recipe.splits_by)
+    learnt, apart = recipe.split(find_places(data))
     here = [place for place in apart if place.city.startswith(city)]
     known = [path for place in here for path in place.photos[:-NEWEST]]
     others = [path for place in learnt if place.city.startswith(city) for path in place.photos]

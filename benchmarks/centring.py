@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from held_out import DATA
 
-from salad.data.places import TrainingPlace, find_places, split
+from salad.data.places import TrainingPlace, find_places
 from salad.index.centring import SHARE
 from salad.model.weights import load
 from salad.train.choose import QUERIES, average_precision
@@ -88,7 +88,7 @@ def main() -> None:
     if asked.sets:
         places = [place for place in places if place.city.startswith(tuple(asked.sets))]
     else:
-        _, places = split(places, held_out=recipe.held_out, seed=recipe.splits_by)
+        _, places = recipe.split(places)
     print(f"mean average precision by share of the mean; {SHARE} is what salad uses")
     for name in asked.models:
         measured(name, places)

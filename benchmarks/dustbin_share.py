@@ -18,7 +18,7 @@ from evaluate_shared import SETS
 from held_out import DATA, told
 
 from salad.config import Calibration, SaladConfig
-from salad.data.places import find_places, split
+from salad.data.places import find_places
 from salad.evaluation import evaluate
 from salad.model.describer import Describer
 from salad.model.weights import load
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA.parent, help="holds train/ and eval/")
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite"].recipe
-    _, held_out = split(find_places(asked.data / "train"), held_out=recipe.held_out, seed=recipe.splits_by)
+    _, held_out = recipe.split(find_places(asked.data / "train"))
     for name in asked.models:
         model = load(name)
         with Shelf(model.preprocessing) as shelf:

@@ -21,7 +21,7 @@ import numpy as np
 from held_out import DATA, drawn, leave_out
 
 from salad.config import LiteConfig, SaladConfig
-from salad.data.places import TrainingPlace, split
+from salad.data.places import TrainingPlace
 from salad.model.weights import load
 from salad.train.choose import precision_held_out
 from salad.train.loop import train
@@ -64,7 +64,7 @@ def measured(
 ) -> dict[str, float]:
     """Train a row without the sets left out, and measure what was best on places held out of the others."""
     model = load(train(made, known, to=run, tokens=tokens))
-    _, held_out = split(known, held_out=made.recipe.held_out, seed=made.recipe.splits_by)
+    _, held_out = made.recipe.split(known)
     with Shelf(model.preprocessing) as shelf:
         new = precision_held_out(model, held_out, shelf)
         other = precision_held_out(model, unknown, shelf)

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from salad.data.places import TrainingPlace, find_places, split
+from salad.data.places import TrainingPlace, find_places
 from salad.model.weights import load
 from salad.train.choose import precision_held_out
 from salad.train.recipe import PRESETS, Augment, Recipe, Sampling
@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite"].recipe
-    _, held_out = split(find_places(asked.data), held_out=recipe.held_out, seed=recipe.splits_by)
+    _, held_out = recipe.split(find_places(asked.data))
     for name in asked.models:
         model = load(name)
         with Shelf(model.preprocessing) as shelf:

@@ -20,7 +20,7 @@ from held_out import DATA, told
 from jaxtyping import Float32
 
 from salad.config import RouteConfig
-from salad.data.places import find_places, split
+from salad.data.places import find_places
 from salad.model.describer import Describer
 from salad.model.weights import load
 from salad.train.choose import precision_of
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--weights", type=float, nargs="+", default=WEIGHTS)
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite-route"].recipe
-    _, held_out = split(find_places(asked.data), held_out=recipe.held_out, seed=recipe.splits_by)
+    _, held_out = recipe.split(find_places(asked.data))
     model = load(asked.model)
     with Shelf(model.preprocessing) as shelf:
         photos = [shelf.array(photo) for place in held_out for photo in place.photos]

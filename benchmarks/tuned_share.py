@@ -17,7 +17,6 @@ from pathlib import Path
 import torch
 from held_out import DATA, drawn, leave_out, told
 
-from salad.data.places import split
 from salad.model.describer import build
 from salad.train.choose import precision_held_out
 from salad.train.loop import CHECKPOINT, train
@@ -49,7 +48,7 @@ def main() -> None:
     run = asked.to / "-".join((*asked.leave_out, asked.augment, asked.sampler))
     train(replace(preset, recipe=recipe), known, to=run)
     saved = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
-    _, held_out = split(known, held_out=recipe.held_out, seed=recipe.splits_by)
+    _, held_out = recipe.split(known)
     print(
         f"{asked.steps} steps, {asked.augment}, {asked.sampler}, seed {asked.seed}; "
         f"precision on {', '.join(asked.leave_out)} | on places held out"

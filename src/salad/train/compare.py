@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from salad.data.places import TrainingPlace, split
+from salad.data.places import TrainingPlace
 from salad.errors import ModelError
 from salad.model.describer import Describer, build
 from salad.model.fitting import fit, needs_fitting
@@ -174,7 +174,7 @@ class Comparison:
     def _fitted(self, run: _Run) -> None:
         """A model that takes no step of training: its start, fitted to the photos where it must be."""
         recipe = run.preset.recipe
-        learn, _ = split(self.places, held_out=recipe.held_out, seed=recipe.splits_by)
+        learn, _ = recipe.split(self.places)
         model = build(run.preset.model, seed=recipe.seed)
         start_backbone(model, run.preset.start)
         if needs_fitting(model):
@@ -183,7 +183,7 @@ class Comparison:
         write_folder(model, run.folder / MODEL, dtype=torch.float16, overwrite=True)
 
     def _held_out(self, model: Describer, preset: Preset) -> dict[str, float]:
-        _, choose = split(self.places, held_out=preset.recipe.held_out, seed=preset.recipe.splits_by)
+        _, choose = preset.recipe.split(self.places)
         if not choose:
             return {}
         with Shelf(model.preprocessing) as shelf:

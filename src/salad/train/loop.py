@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import nn
 
-from salad.data.places import TrainingPlace, View, split
+from salad.data.places import TrainingPlace, View
 from salad.model.describer import build
 from salad.model.fitting import fit, needs_fitting
 from salad.train import runfolder
@@ -86,7 +86,7 @@ def train(
     """
     recipe, start = preset.recipe, preset.start if start is None else start
     divided(recipe, devices * nodes)
-    learnt, choose = split(places, held_out=recipe.held_out, seed=recipe.splits_by)
+    learnt, choose = recipe.split(places)
     model = build(preset.model, seed=recipe.seed)
     start_backbone(model, start)
     sampler = sampler_of(recipe, learnt)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from salad.data.places import TrainingPlace, split
+from salad.data.places import TrainingPlace
 from salad.model.counting import parameters
 from salad.model.describer import Describer, build
 from salad.train.augment import augmentation
@@ -113,7 +113,7 @@ def plan(
 def _data(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> dict[str, Any]:
     if places is None:
         return {"data": "none given: name it with --data"}
-    learn_from, choose = split(places, held_out=recipe.held_out, seed=recipe.splits_by)
+    learn_from, choose = recipe.split(places)
     photos = sum(len(place.photos) for place in places)
     return {"data": f"{photos} photos of {len(learn_from)} places to learn from, {len(choose)} to choose by"}
 
@@ -131,7 +131,7 @@ def _stages(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> list[_Sta
     """Every stretch that has any step, in the order they are walked."""
     head, tune = recipe.head_steps, None if recipe.epochs else recipe.tune_steps
     if places is not None:
-        learn_from, _ = split(places, held_out=recipe.held_out, seed=recipe.splits_by)
+        learn_from, _ = recipe.split(places)
         head, end = steps_of(recipe, sampler_of(recipe, learn_from))
         tune = end - head
     left = recipe.full_steps  # the last ones, whichever stage they fall into

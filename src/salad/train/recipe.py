@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from salad.config import PRESETS as AGGREGATORS_OF_THE_PAPER
 from salad.config import VITS, LiteConfig, ModelConfig, Preprocessing, RouteConfig, SaladConfig, ViTConfig
+from salad.data.places import TrainingPlace, split
 from salad.errors import ModelError
 
 Precision = Literal["bf16-mixed", "16-mixed", "32-true"]
@@ -131,10 +132,10 @@ class Recipe:
         """Photos in a batch."""
         return self.places * self.views
 
-    @property
-    def splits_by(self) -> int:
-        """The seed by which places are held out."""
-        return self.seed if self.split_seed is None else self.split_seed
+    def split(self, places: Sequence[TrainingPlace]) -> tuple[list[TrainingPlace], list[TrainingPlace]]:
+        """The places to learn from, and those held out to choose by."""
+        seed = self.seed if self.split_seed is None else self.split_seed
+        return split(places, held_out=self.held_out, seed=seed)
 
     def cached(self, blocks: int) -> bool:
         """Whether a stage that trains so many blocks learns from tokens kept on disk."""
