@@ -249,7 +249,8 @@ PRESETS: dict[str, Preset] = {
             aggregator=LITE_SALAD,
             preprocessing=LITE_PHOTO,
             provenance="EfficientNet-Lite2's ImageNet trunk up to block 14 under a SALAD head, trained with `salad "
-            "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
+            "train --preset salad-lite` on street photos, webcams and campus photos, the mean of two runs; see "
+            "docs/model-card.md",
             licence=LITE_LICENCE,
         ),
         start="imagenet",
@@ -287,7 +288,7 @@ PRESETS: dict[str, Preset] = {
         model=ModelConfig(
             name="salad-lite-route",
             backbone=LITE_TRUNK,
-            aggregator=RouteConfig(width=120, salad=LITE_SALAD, cell_dim=32, weight=0.7),
+            aggregator=RouteConfig(width=120, salad=LITE_SALAD, cell_dim=32, weight=0.5),
             preprocessing=LITE_PHOTO,
             provenance="salad-lite with a 4 x 4 layout beside its descriptor, trained with `salad train --preset "
             "salad-lite-route` on the same photos; see docs/model-card.md",
