@@ -249,8 +249,7 @@ PRESETS: dict[str, Preset] = {
             aggregator=LITE_SALAD,
             preprocessing=LITE_PHOTO,
             provenance="EfficientNet-Lite2's ImageNet trunk up to block 14 under a SALAD head, trained with `salad "
-            "train --preset salad-lite` on street photos, webcams and campus photos, the mean of two runs; see "
-            "docs/model-card.md",
+            "train --preset salad-lite` on street photos, webcams and campus photos; see docs/model-card.md",
             licence=LITE_LICENCE,
         ),
         start="imagenet",
