@@ -13,6 +13,7 @@ import pytest
 from salad.cli.placing import _ADVICE, Places
 from salad.data.cells import Reason
 from salad.data.places import find_places
+from salad.errors import SaladError
 from salad.geo import GeoPoint, shifted
 from salad.photos import save_jpeg
 
@@ -130,11 +131,21 @@ def test_every_reason_has_its_advice() -> None:
     assert set(_ADVICE) == set(get_args(Reason))
 
 
+def test_photos_whose_places_are_known_already_are_for_training_as_they_are(
+    streets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (streets / "Dataframes").mkdir()
+    with pytest.raises(SaladError, match=f"`salad train --data {streets}`"):
+        Places((str(streets),), tmp_path / "places.csv").run()
+    table = tmp_path / "where.csv"
+    table.write_text("path,lat,lon\nstreets/nowhere.jpg,48.1,11.5\n")
+    code, _, _ = ran(Places((str(streets),), tmp_path / "places.csv", table=table), capsys)
+    assert code == 0  # whoever brings positions wants places of their own
+
+
 @pytest.mark.parametrize("to", ["gone/places.csv", "."])
 def test_a_table_that_cannot_be_written_is_told_before_any_work(
     streets: Path, tmp_path: Path, to: str
 ) -> None:
-    from salad.errors import SaladError
-
     with pytest.raises(SaladError, match="cannot be written: name a file in a folder that is there"):
         Places((str(streets),), tmp_path / to).run()

@@ -71,10 +71,18 @@ class Places:
 
     def _known(self) -> list[Photo]:
         """All photos with where, which way and when they were taken."""
+        from salad.data.gsv_cities import is_gsv_cities
         from salad.index.hands import in_order, workers
         from salad.photos import PhotoTable, find_photos, read_photo
 
-        paths = find_photos(list(shell.listed(self.photos)))
+        names = list(shell.listed(self.photos))
+        known = next((name for name in names if is_gsv_cities(Path(name))), None)
+        if known and not self.table:
+            raise SaladError(
+                f"{known} is laid out like GSV-Cities, so its places are known: train on it as it is with "
+                f"`salad train --data {known}`, or name a table of positions with --table to find others"
+            )
+        paths = find_photos(names)
         table: PhotoTable | None = PhotoTable.read(self.table) if self.table else None
         photos: list[Photo] = []
         with workers() as pool, shell.progress("looking") as bar:
