@@ -27,7 +27,7 @@ class Neighbours:
     """
 
     def __init__(self, points: Sequence[GeoPoint | None], apart_m: float) -> None:
-        self.apart_m = apart_m
+        self._apart_m = apart_m
         self._lat = np.array([math.nan if point is None else point.lat for point in points], dtype=np.float64)
         self._lon = np.array([math.nan if point is None else point.lon for point in points], dtype=np.float64)
         self._cubes: dict[tuple[int, int, int], list[int]] = {}
@@ -44,13 +44,13 @@ class Neighbours:
         touching = (self._cubes.get((x + i, y + j, z + k), []) for i, j, k in _AROUND)
         others = np.array(sorted(itertools.chain.from_iterable(touching)), dtype=np.int64)
         away = metres(self._lat[number], self._lon[number], self._lat[others], self._lon[others])
-        near: NDArray[np.int64] = others[(away < self.apart_m) & (others != number)]
+        near: NDArray[np.int64] = others[(away < self._apart_m) & (others != number)]
         return near
 
     def _cube(self, numbers: NDArray[np.int64]) -> list[tuple[int, int, int]]:
         lat, lon = np.radians(self._lat[numbers]), np.radians(self._lon[numbers])
         unit = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-        side = self.apart_m * (1 + 1e-6) + 1e-3  # a little larger, so that rounding loses no neighbour
+        side = self._apart_m * (1 + 1e-6) + 1e-3  # a little larger, so that rounding loses no neighbour
         cubes: list[list[int]] = np.floor(unit * EARTH_RADIUS_M / side).astype(np.int64).tolist()
         return [(x, y, z) for x, y, z in cubes]
 

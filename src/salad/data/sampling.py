@@ -2,7 +2,7 @@
 
 A sampler knows no past: its n-th batch depends on its seed and n alone, so a run that was interrupted goes on
 with what it would have seen. No two places of a batch should be so near that photos of one show the other, for
-they would count as different; the samplers by epoch see to that where positions are known.
+they would count as different; all but `MixedSampler` see to that where positions are known.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class OneCitySampler:
         _check_enough(places, per_batch)
         near = Neighbours([place.where for place in places], apart_m)
         cities = by_city(places).values()
-        self._packings = [Packing([[place] for place in city], near, room=per_batch) for city in cities]
+        self._packings = [Packing(city, near, room=per_batch) for city in cities]
         self._places, self._views, self._seed, self._mirror = places, views, seed, mirror
         self._epoch, self._batches = -1, list[list[int]]()
         self.per_epoch = len(self._plan(0))
