@@ -109,7 +109,7 @@ def _result(told: dict[str, Any]) -> Result:
         recall={int(k): float(percent) for k, percent in told["recall"].items()},
         seconds=float(told["seconds"]),
         notes=tuple(_of(str, note) for note in told["notes"]),
-        unanswerable_rule={"drop": "drop", "miss": "miss"}[told["unanswerable_rule"]],  # type: ignore[arg-type]
+        unanswerable_rule={"drop": "drop", "miss": "miss"}[told["unanswerable_rule"]],  # type: ignore[arg-type]  # values are str
         intervals={int(k): _interval(ends) for k, ends in told["intervals"].items()},
         drawn=_of(dict, told["drawn"]),
         precision_recall=None if curve is None else _curve(curve),
