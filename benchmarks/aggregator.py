@@ -28,9 +28,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from salad.config import PRESETS
-from salad.model.aggregators import Salad
-from salad.model.tokens import Tokens
+from salad.network.aggregator_config import PRESETS
+from salad.network.aggregators.salad import Salad
+from salad.network.tokens import Tokens
 
 SEED, SIDE = 0, 23  # 529 tokens: a photo of 322 x 322 pixels
 GOAL_TIME, GOAL_MEMORY = 3.0, 1 / 5

@@ -26,23 +26,17 @@ from aggregator import machine
 from reliability import diagram
 
 import salad
-from salad.config import Calibration
-from salad.data.places import TrainingPlace, find_places
+from salad.datasets.places import find_places
+from salad.datasets.training_place import TrainingPlace
 from salad.geo import GeoPoint, metres
-from salad.index import Match, centring
-from salad.model.describer import Describer
-from salad.model.weights import write_calibration
-from salad.photos import Photo, read_photo
-from salad.place.calibrating import (
-    BINS,
-    Case,
-    Judged,
-    calibrate,
-    calibration_error,
-    judge,
-    reliability,
-)
-from salad.train.recipe import PRESETS, preset
+from salad.images.photo import Photo, read_photo
+from salad.index import centring
+from salad.index.search import Match
+from salad.localize.calibration import BINS, Case, Judged, calibrate, calibration_error, judge, reliability
+from salad.models.describer import Describer
+from salad.models.model_folder import write_calibration
+from salad.network.config import Calibration
+from salad.training.recipe import PRESETS, preset
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEED, K, NEWEST, STRANGERS = 0, 5, 4, 10  # newest: queries of a place; strangers: photos of a place elsewhere

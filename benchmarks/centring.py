@@ -20,11 +20,12 @@ import numpy as np
 import numpy.typing as npt
 from held_out import DATA
 
-from salad.data.places import TrainingPlace, find_places
+from salad.datasets.places import find_places
+from salad.datasets.training_place import TrainingPlace
 from salad.index.centring import SHARE
-from salad.model.weights import load
-from salad.train.choose import QUERIES, average_precision
-from salad.train.recipe import PRESETS
+from salad.models.model_folder import load
+from salad.training.recipe import PRESETS
+from salad.training.validation import QUERIES, average_precision
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 Rows = npt.NDArray[np.float32]

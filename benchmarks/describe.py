@@ -20,8 +20,8 @@ import torch
 from aggregator import machine
 
 import salad
-from salad.data.town import draw_town
-from salad.photos import open_rgb, squeeze
+from salad.demo.town.town import draw_town
+from salad.images.decode import open_rgb, squeeze
 
 SEED, ROUNDS = 7, 5
 

@@ -17,14 +17,15 @@ from tempfile import TemporaryDirectory
 from evaluate_shared import SETS
 from held_out import DATA, told
 
-from salad.config import Calibration, SaladConfig
-from salad.data.places import find_places
-from salad.evaluation import evaluate
-from salad.model.describer import Describer
-from salad.model.weights import load
-from salad.train.choose import precision_held_out
-from salad.train.recipe import PRESETS
-from salad.train.shelf import Shelf
+from salad.datasets.places import find_places
+from salad.evaluation.evaluate import evaluate
+from salad.models.describer import Describer
+from salad.models.model_folder import load
+from salad.network.aggregator_config import SaladConfig
+from salad.network.config import Calibration
+from salad.training.batches import ImageCache
+from salad.training.recipe import PRESETS
+from salad.training.validation import precision_held_out
 
 SHARES = (0.1, 0.2, 0.35, 0.5, 0.68, 0.8)
 SMALL = [each for each in SETS if each.name not in ("toy", "nordland64")]
@@ -70,7 +71,7 @@ def main() -> None:
     _, held_out = recipe.split(find_places(asked.data / "train"))
     for name in asked.models:
         model = load(name)
-        with Shelf(model.preprocessing) as shelf:
+        with ImageCache(model.preprocessing) as shelf:
             for share in asked.shares:
                 made = with_share(model, share)
                 figures = told(precision_held_out(made, held_out, shelf))

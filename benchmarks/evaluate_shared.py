@@ -20,10 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from salad.cli.comparing import benchmark
-from salad.data.benchmark import Benchmark
+from salad.cli.compare import benchmark
+from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError
-from salad.evaluation import Result, evaluate
+from salad.evaluation.evaluate import evaluate
+from salad.evaluation.result import Result
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED = 0  # nothing here is drawn at random but the unused head of the untrained model
@@ -98,7 +99,7 @@ def _untrained_grid() -> Any:
 
 
 def _load(spec: str) -> Any:
-    from salad.model.weights import load
+    from salad.models.model_folder import load
 
     return load(spec)
 

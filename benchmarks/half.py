@@ -20,9 +20,9 @@ import numpy.typing as npt
 from evaluate_shared import ROOT, SETS, describers, machine
 
 import salad
-from salad.index.matrix import storable
-from salad.model.describer import Describes
-from salad.photos import Photo
+from salad.images.photo import Photo
+from salad.index.vectors import storable
+from salad.models.describer import Describes
 
 BATCH = 16
 ROUNDING = 2.0**-22  # of a float32 score around 1, sums of thousands of products included

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from held_out import DATA, drawn, leave_out
 
-from salad.config import LiteConfig, SaladConfig
-from salad.data.places import TrainingPlace
-from salad.model.weights import load
-from salad.train.choose import precision_held_out
-from salad.train.loop import train
-from salad.train.recipe import (
+from salad.datasets.training_place import TrainingPlace
+from salad.models.model_folder import load
+from salad.network.aggregator_config import SaladConfig
+from salad.network.config import LiteConfig
+from salad.training.batches import ImageCache
+from salad.training.recipe import (
     LITE_HEAD,
     LITE_TRUNK,
     PRESETS,
@@ -35,7 +35,8 @@ from salad.train.recipe import (
     Preset,
     Sampling,
 )
-from salad.train.shelf import Shelf
+from salad.training.trainer import train
+from salad.training.validation import precision_held_out
 
 ROOT = Path(__file__).resolve().parents[1]
 ROWS: dict[str, tuple[LiteConfig, SaladConfig]] = {
@@ -65,7 +66,7 @@ def measured(
     """Train a row without the sets left out, and measure what was best on places held out of the others."""
     model = load(train(made, known, to=run, tokens=tokens))
     _, held_out = made.recipe.split(known)
-    with Shelf(model.preprocessing) as shelf:
+    with ImageCache(model.preprocessing) as shelf:
         new = precision_held_out(model, held_out, shelf)
         other = precision_held_out(model, unknown, shelf)
     return {"held out": new["mean"], **other}

@@ -13,11 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from salad.data.places import TrainingPlace, find_places
-from salad.model.weights import load
-from salad.train.choose import precision_held_out
-from salad.train.recipe import PRESETS, Augment, Recipe, Sampling
-from salad.train.shelf import Shelf
+from salad.datasets.places import find_places
+from salad.datasets.training_place import TrainingPlace
+from salad.models.model_folder import load
+from salad.training.batches import ImageCache
+from salad.training.recipe import PRESETS, Augment, Recipe, Sampling
+from salad.training.validation import precision_held_out
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
 MINED_EVERY = 100  # steps, for batches of places that look alike
@@ -59,7 +60,7 @@ def main() -> None:
     _, held_out = recipe.split(find_places(asked.data))
     for name in asked.models:
         model = load(name)
-        with Shelf(model.preprocessing) as shelf:
+        with ImageCache(model.preprocessing) as shelf:
             figures = precision_held_out(model, held_out, shelf)
         print(f"{name} {model.fingerprint}: {told(figures)}", flush=True)
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from salad.config import Preprocessing
-from salad.photos import open_rgb, squeeze
+from salad.images.decode import open_rgb, squeeze
+from salad.network.config import Preprocessing
 
 
 @dataclass(frozen=True)

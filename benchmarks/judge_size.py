@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from salad.data.benchmark import Benchmark
-from salad.data.lazy import PhotoList, Ragged
-from salad.evaluation import Terms, evaluate_descriptors
+from salad.datasets.benchmark import Benchmark
+from salad.datasets.compact_lists import PhotoList, Ragged
+from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors
 from salad.index.npy import Writer
 
 SEED = 0
@@ -59,7 +59,11 @@ def measure(folder: Path, references: int, queries: int, dim: int) -> dict[str, 
     )
     began = time.perf_counter()
     result = evaluate_descriptors(
-        benchmark, folder / "references.npy", folder / "queries.npy", name="made up", terms=Terms(seed=SEED)
+        benchmark,
+        folder / "references.npy",
+        folder / "queries.npy",
+        name="made up",
+        terms=EvalSettings(seed=SEED),
     )
     if result.recall[1] < 99:
         sys.exit(f"R@1 is {result.recall[1]:.1f} %, but every query's double must come first")

@@ -24,13 +24,13 @@ from typing import Any
 import torch
 from evaluate_shared import ROOT, machine
 
-from salad.data.benchmark import Benchmark, from_radius
-from salad.evaluation import evaluate
-from salad.model.describer import Describer, build
-from salad.model.weights import load
-from salad.train.recipe import Preset, preset
-from salad.train.runfolder import CHECKPOINT, CONFIG
-from salad.train.start import start_backbone
+from salad.datasets.benchmark import Benchmark, from_radius
+from salad.evaluation.evaluate import evaluate
+from salad.models.describer import Describer, build
+from salad.models.model_folder import load
+from salad.training.checkpoint import CHECKPOINT, CONFIG
+from salad.training.recipe import Preset, preset
+from salad.training.start import start_backbone
 
 GOAL_POINTS, GOAL_MINUTES = 10.0, 15.0
 RADIUS = 25  # metres, as the data's own README says

@@ -1,6 +1,6 @@
 """The paper's rows and figures, ready to be set beside ours.
 
-R@1 is taken from `salad.train.grids`, which has it for every row that is trained there; only what the paper adds to
+R@1 is taken from `salad.ablation.grids`, which has it for every row that is trained there; only what the paper adds to
 that stands here. The MSLS challenge is left out: no named protocol judges it.
 """
 
@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from salad.data.protocols import PROTOCOLS
-from salad.train.grids import GRIDS, Row
+from salad.ablation.grids import GRIDS, Row
+from salad.datasets.protocols import PROTOCOLS
 
 SOURCE = "Izquierdo and Civera, Optimal Transport Aggregation for Visual Place Recognition, CVPR 2024, arXiv 2311.15937"
 SIDE = 322  # pixels of the paper's photos in evaluation, squeezed to a square

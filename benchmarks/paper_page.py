@@ -9,9 +9,9 @@ from typing import Any
 
 from paper_figures import SOURCE, Claim
 
-from salad.data.protocols import PROTOCOLS
-from salad.evaluation import Result
-from salad.evaluation.intervals import Interval
+from salad.datasets.protocols import PROTOCOLS
+from salad.evaluation.bootstrap import Interval
+from salad.evaluation.result import Result
 
 LEFT_OUT = "Its column of the MSLS challenge is left out: no named protocol judges it."
 KS = (1, 5)

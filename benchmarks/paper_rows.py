@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from paper_figures import DEPTH, SIDE, WIDTH, Claim, claim, first
 
+from salad.ablation.grids import GRIDS
+from salad.ablation.outcome import read
 from salad.errors import BenchmarkError, WeightsError
-from salad.model.zoo import ZOO
-from salad.train.grids import GRIDS
-from salad.train.outcome import read
+from salad.models.hub import ZOO
 
 if TYPE_CHECKING:
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
 
 FULL = "dinov2-salad"
 

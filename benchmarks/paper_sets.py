@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from salad.data.benchmark import Benchmark
-from salad.data.layouts import LAYOUTS
-from salad.data.protocols import protocol_called, read, there
-from salad.data.rules import Protocol
+from salad.datasets.benchmark import Benchmark
+from salad.datasets.protocols import protocol_called, read, there
+from salad.datasets.readers.base import Protocol
+from salad.datasets.readers.table import LAYOUTS
 from salad.errors import BenchmarkError
 
 CALLED = {  # what people call the folders, beside the stems of their files

@@ -22,9 +22,9 @@ from PIL import Image, ImageOps
 
 import salad
 from salad.geo import metres
-from salad.model.describer import Describer
-from salad.photos import open_rgb
-from salad.place.calibrating import Case, calibrate, log_loss
+from salad.images.decode import open_rgb
+from salad.localize.calibration import Case, calibrate, log_loss
+from salad.models.describer import Describer
 
 Change = Callable[[Image.Image], Image.Image]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from salad.place.calibrating import Judged, reliability
+from salad.localize.calibration import Judged, reliability
 
 
 def diagram(series: Sequence[tuple[str, str, Judged]], to: Path) -> None:

@@ -34,14 +34,15 @@ from paper_sets import find_set
 
 from salad.cli import shell
 from salad.cli.arguments import positive
-from salad.data.benchmark import Benchmark
-from salad.data.protocols import read
+from salad.datasets.benchmark import Benchmark
+from salad.datasets.protocols import read
 from salad.errors import BenchmarkError, SaladError
-from salad.evaluation import evaluate, read_result, write_result
-from salad.wholefile import write_whole
+from salad.evaluation.evaluate import evaluate
+from salad.evaluation.result import read_result, write_result
+from salad.files import write_whole
 
 if TYPE_CHECKING:
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
 
 ROOT = Path(__file__).resolve().parents[1]
 OPTIONS = {
@@ -170,13 +171,13 @@ def _pass_over(report: Report, sentence: str) -> None:
 
 
 def _load(spec: str, **settings: Any) -> Describes:
-    from salad.model.weights import load
+    from salad.models.model_folder import load
 
     return load(spec, **settings)
 
 
 def _made(device: str) -> dict[str, Any]:
-    from salad.train.launching import versions
+    from salad.training.devices import versions
 
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     return {"date": today, "machine": machine(), "device": device, "versions": versions()}

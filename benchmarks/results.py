@@ -24,9 +24,9 @@ from pathlib import Path
 from evaluate_shared import SETS as EVERY
 from results_sets import section
 
-from salad.cli.beside import write_tables
+from salad.ablation.grids import GRIDS, rows
+from salad.ablation.summary import write_tables
 from salad.errors import SaladError
-from salad.train.grids import GRIDS, rows
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared" / "data"

@@ -19,13 +19,13 @@ import numpy as np
 from held_out import DATA, told
 from jaxtyping import Float32
 
-from salad.config import RouteConfig
-from salad.data.places import find_places
-from salad.model.describer import Describer
-from salad.model.weights import load
-from salad.train.choose import precision_of
-from salad.train.recipe import PRESETS
-from salad.train.shelf import Shelf
+from salad.datasets.places import find_places
+from salad.models.describer import Describer
+from salad.models.model_folder import load
+from salad.network.aggregator_config import RouteConfig
+from salad.training.batches import ImageCache
+from salad.training.recipe import PRESETS
+from salad.training.validation import precision_of
 
 WEIGHTS = (0.0, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 
@@ -53,7 +53,7 @@ def main() -> None:
     recipe = PRESETS["salad-lite-route"].recipe
     _, held_out = recipe.split(find_places(asked.data))
     model = load(asked.model)
-    with Shelf(model.preprocessing) as shelf:
+    with ImageCache(model.preprocessing) as shelf:
         photos = [shelf.array(photo) for place in held_out for photo in place.photos]
     shows = np.repeat(np.arange(len(held_out)), [len(place.photos) for place in held_out])
     cities = [place.city for place in held_out]

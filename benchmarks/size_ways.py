@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from salad.photos import Photo
+    from salad.images.photo import Photo
 
 SEED, K, QUERIES = 20, 5, 100
 BATCH = 1000  # photos in one `Index.add`
@@ -64,7 +64,7 @@ def _unit(rows: Floats) -> Floats:
 def photos(start: int, count: int) -> list[Photo]:
     """Photos in made-up places of a square of 10 km."""
     from salad.geo import GeoPoint, shifted
-    from salad.photos import Photo
+    from salad.images.photo import Photo
 
     middle = GeoPoint(52.0, 5.0)
     places = np.random.default_rng([SEED, start]).uniform(-5000, 5000, (count, 2))
@@ -79,7 +79,7 @@ def photos(start: int, count: int) -> list[Photo]:
 
 def ours(folder: Path, _count: int, dim: int) -> Way:
     """A salad index in `folder`."""
-    from salad.index import Index
+    from salad.index.index import Index
 
     index = Index.create(folder, dim=dim, fingerprint=f"made-up-{dim}", model="made-up")
 
@@ -141,7 +141,7 @@ MAKE = {"salad": ours, "faiss flat": flat, "numpy": plain}
 def opened(name: str, path: Path) -> Callable[[Floats], object]:
     """What was saved, ready to be asked."""
     if name == "salad":
-        from salad.index import Index
+        from salad.index.index import Index
 
         index = Index.open(path)
         return lambda asked: index.search(asked, k=K)

@@ -17,12 +17,12 @@ from pathlib import Path
 import torch
 from held_out import DATA, drawn, leave_out, told
 
-from salad.model.describer import build
-from salad.train.choose import precision_held_out
-from salad.train.loop import CHECKPOINT, train
-from salad.train.recipe import PRESETS
-from salad.train.shelf import Shelf
-from salad.train.state import State
+from salad.models.describer import build
+from salad.training.batches import ImageCache
+from salad.training.checkpoint import CHECKPOINT, State
+from salad.training.recipe import PRESETS
+from salad.training.trainer import train
+from salad.training.validation import precision_held_out
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARES = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
@@ -53,7 +53,7 @@ def main() -> None:
         f"{asked.steps} steps, {asked.augment}, {asked.sampler}, seed {asked.seed}; "
         f"precision on {', '.join(asked.leave_out)} | on places held out"
     )
-    with Shelf(preset.model.preprocessing) as shelf:
+    with ImageCache(preset.model.preprocessing) as shelf:
         for share in SHARES:
             state = State(build(preset.model), tuned_share=share)
             state.take_up(saved)

@@ -17,12 +17,12 @@ from held_out import DATA
 from numpy.typing import NDArray
 from torch.nn import functional as F
 
-from salad.config import AGGREGATORS, GemConfig, Preprocessing
-from salad.data.places import find_places
-from salad.model.describer import Describer, build
-from salad.model.fitting import fit, needs_fitting
-from salad.train.recipe import PRESETS
-from salad.train.start import start_backbone
+from salad.datasets.places import find_places
+from salad.models.describer import Describer, build
+from salad.network.aggregator_config import AGGREGATORS, GemConfig
+from salad.network.config import Preprocessing
+from salad.training.recipe import PRESETS
+from salad.training.start import fit, needs_fitting, start_backbone
 
 
 def untrained(pooling: str = "gem") -> Describer:

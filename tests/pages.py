@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from salad.model.fake import FakeDescriber
+from salad.models.fake import FakeDescriber
 
 VOID = {"meta", "link", "img", "input", "br"}
 

@@ -27,13 +27,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from salad import helpers
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint
-from salad.geotags import Position, at_name, parse_at_name, to_exif
-from salad.helpers import Helpers
-from salad.photos import PhotoTable, listed
-from salad.pixels import existing
+from salad.images import workers
+from salad.images.decode import existing
+from salad.images.metadata import Position, at_name, parse_at_name, to_exif
+from salad.images.photo import PhotoTable, listed
+from salad.images.workers import Helpers
 
 THOROUGH = "SALAD_THOROUGH" in os.environ
 HANG = 20.0  # seconds; a slow machine is no hang, and real hangs have no end
@@ -44,9 +44,10 @@ PHOTOS, EXIFS, TEXTS = (6400, 1200, 800) if THOROUGH else (720, 240, 180)  # tex
 # A helper that reads a photo as indexing does and tells what came of it.
 READER = """
 import pathlib, resource, time
-from salad import imagefile, reading
+from salad.images import decode as imagefile, workers as reading
 from salad.errors import PhotoError
-from salad.photos import Photo, open_rgb, read_photo, squeeze
+from salad.images.decode import open_rgb, squeeze
+from salad.images.photo import Photo, read_photo
 
 def highest():
     # in KiB; ru_maxrss would remember the process this one was forked from
@@ -255,7 +256,7 @@ class Reader:
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
     pytest.importorskip("resource", reason="only Unix measures memory so")
-    monkeypatch.setattr(helpers, "_STARTER", READER)
+    monkeypatch.setattr(workers, "_STARTER", READER)
     made = Reader(Helpers(1, seconds=HANG), tmp_path)
     yield made
     made.crew.close()

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from salad.cli import run
-from salad.data.town import draw_town
+from salad.cli.main import run
+from salad.demo.town.town import draw_town
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

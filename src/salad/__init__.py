@@ -16,29 +16,31 @@ from salad._version import __version__
 
 if TYPE_CHECKING:
     from salad.errors import SaladError
-    from salad.evaluation import evaluate
+    from salad.evaluation.evaluate import evaluate
     from salad.geo import GeoPoint
-    from salad.index import Index, Match
+    from salad.images.photo import Photo
     from salad.index.build import index_photos
-    from salad.model.describer import Describer
-    from salad.model.weights import load
-    from salad.photos import Photo
-    from salad.place import Answer, Place, locate, locate_many
+    from salad.index.index import Index
+    from salad.index.search import Match
+    from salad.localize.locate import Answer, locate, locate_many
+    from salad.localize.voting import Place
+    from salad.models.describer import Describer
+    from salad.models.model_folder import load
 
 _HOMES = {
-    "Answer": "salad.place",
-    "Describer": "salad.model.describer",
+    "Answer": "salad.localize.locate",
+    "Describer": "salad.models.describer",
     "GeoPoint": "salad.geo",
-    "Index": "salad.index",
-    "Match": "salad.index",
-    "Photo": "salad.photos",
-    "Place": "salad.place",
+    "Index": "salad.index.index",
+    "Match": "salad.index.search",
+    "Photo": "salad.images.photo",
+    "Place": "salad.localize.voting",
     "SaladError": "salad.errors",
-    "evaluate": "salad.evaluation",
+    "evaluate": "salad.evaluation.evaluate",
     "index_photos": "salad.index.build",
-    "load": "salad.model.weights",
-    "locate": "salad.place",
-    "locate_many": "salad.place",
+    "load": "salad.models.model_folder",
+    "locate": "salad.localize.locate",
+    "locate_many": "salad.localize.locate",
 }
 
 __all__ = [

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from salad.cli import run
+from salad.cli.main import run
 from salad.geo import GeoPoint, shifted
-from salad.model.fake import FakeDescriber
-from salad.photos import save_jpeg
+from salad.images.decode import save_jpeg
+from salad.models.fake import FakeDescriber
 
 HOME = GeoPoint(48.1, 11.5)
 NAMES = (  # what people call their photos, one every 200 m
@@ -111,7 +111,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         specs.append(str(spec))
         return FakeDescriber(dim=256, name="salad-lite")
 
-    monkeypatch.setattr("salad.model.weights.load", load)
+    monkeypatch.setattr("salad.models.model_folder.load", load)
     return specs
 
 

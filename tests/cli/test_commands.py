@@ -15,12 +15,14 @@ import pytest
 from rich.table import Table
 
 import salad as library
-from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig
 from salad.errors import SaladError
 from salad.geo import GeoPoint, metres_between, shifted
-from salad.index import Index
-from salad.model.fake import FakeDescriber
-from salad.photos import read_photo, save_jpeg
+from salad.images.decode import save_jpeg
+from salad.images.photo import read_photo
+from salad.index.index import Index
+from salad.models.fake import FakeDescriber
+from salad.network.aggregator_config import SaladConfig
+from salad.network.config import LiteConfig, ModelConfig, Preprocessing
 
 TINY = ModelConfig(
     name="tiny",
@@ -263,7 +265,7 @@ def test_what_is_no_index_is_refused(cli: Any, photos: Any, tmp_path: Path, aske
 
 def test_another_model_is_refused(cli: Any, city: Path, photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "salad.model.weights.load", lambda *_, **__: FakeDescriber(dim=256, name="other", seed=1)
+        "salad.models.model_folder.load", lambda *_, **__: FakeDescriber(dim=256, name="other", seed=1)
     )
     for command in (
         ("locate", photos.query[0], "--index", city, "--model", "other"),
@@ -457,7 +459,7 @@ def test_evaluate_refuses_a_set_with_holes(cli: Any, asked: Any, photos: Any, br
 
 
 def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    from salad.train.recipe import PRESETS, Preset, Recipe
+    from salad.training.recipe import PRESETS, Preset, Recipe
 
     recipe = Recipe(
         tuned_blocks=1, places=2, views=2, warmup=1, measure_every=1, precision="32-true", held_out=0.5
@@ -515,7 +517,7 @@ def test_demo_shows_a_table_and_says_where_the_page_is(
         shown.add_row(result.page.name)
         return shown
 
-    monkeypatch.setattr("salad.demo.run_demo", run_demo)
+    monkeypatch.setattr("salad.demo.run.run_demo", run_demo)
     monkeypatch.setattr("salad.demo.report.table", table)
     ran = cli("demo", "--to", tmp_path / "here", "--seed", 9)
     assert ran.code == 0
@@ -531,8 +533,8 @@ def test_demo_shows_a_table_and_says_where_the_page_is(
 @pytest.fixture
 def model_folder(tmp_path: Path) -> Path:
     """A real model, small and untrained: it tells photos apart no better than chance."""
-    from salad.model.describer import build
-    from salad.model.weights import write_folder
+    from salad.models.describer import build
+    from salad.models.model_folder import write_folder
 
     return write_folder(build(TINY), tmp_path / "models" / "my tiny")
 
@@ -577,5 +579,5 @@ def test_errors_of_the_library_are_the_command_line_s(cli: Any, monkeypatch: pyt
     def refuse(*_: Any) -> None:
         raise SaladError("the sky fell: look up")
 
-    monkeypatch.setattr("salad.index.Index.open", refuse)
+    monkeypatch.setattr("salad.index.index.Index.open", refuse)
     assert one_sentence(cli("info", "x")) == "salad: the sky fell: look up\n"

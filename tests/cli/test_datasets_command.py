@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from salad.cli.datasets import Check, Datasets, List
-from salad.data.protocols import PROTOCOLS
+from salad.cli.datasets import Check, DatasetsCommand, List
+from salad.datasets.protocols import PROTOCOLS
 from salad.errors import BenchmarkError
 
 
@@ -23,7 +23,7 @@ def sped(tmp_path: Path) -> Path:
 
 
 def test_every_protocol_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert Datasets(List()).run() == 0
+    assert DatasetsCommand(List()).run() == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:3] == ["protocol", "references", "queries"]
     assert [line.split()[0] for line in lines[1:]] == list(PROTOCOLS)
@@ -41,7 +41,7 @@ def test_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_folder_is_told(sped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert Datasets(Check(sped)).run() == 0
+    assert DatasetsCommand(Check(sped)).run() == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split()[:5] == ["sped", "yes", "drives", "607", "607"]
     assert any("expected 27,592 references, found 607" in line for line in lines)

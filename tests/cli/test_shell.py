@@ -13,7 +13,8 @@ import pytest
 from rich.table import Table
 
 from salad import __version__
-from salad.cli import COMMANDS, main, run, shell
+from salad.cli import shell
+from salad.cli.main import COMMANDS, main, run
 
 SUBCOMMANDS = [
     *([name] for name in COMMANDS),
@@ -48,9 +49,9 @@ def test_every_command_has_help(cli: Any, command: list[str]) -> None:
 
 def test_help_loads_no_torch() -> None:
     script = (
-        "import sys, salad.cli\n"
+        "import sys, salad.cli.main\n"
         "for line in (['--help'], ['locate', '--help'], ['weights', '--help']):\n"
-        "    try: salad.cli.run(line)\n"
+        "    try: salad.cli.main.run(line)\n"
         "    except SystemExit as left: assert left.code == 0\n"
         "heavy = {'torch', 'PIL', 'lightning_fabric', 'kornia', 'scipy'} & set(sys.modules)\n"
         "sys.exit(f'loaded: {heavy}' if heavy else 0)\n"
@@ -110,7 +111,7 @@ def test_an_interrupt_is_no_traceback(
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("salad.index.Index.open", interrupt)
+    monkeypatch.setattr("salad.index.index.Index.open", interrupt)
     assert run(["info", "x"]) == 130
     assert capsys.readouterr().err.startswith("salad: interrupted")
 
@@ -119,7 +120,7 @@ def test_an_error_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None
     def bug(*_: Any) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("salad.index.Index.open", bug)
+    monkeypatch.setattr("salad.index.index.Index.open", bug)
     with pytest.raises(ZeroDivisionError):
         run(["info", "x"])
 

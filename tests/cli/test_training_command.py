@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
-from salad.cli.training import Train
-from salad.config import LiteConfig, ModelConfig, Preprocessing, SaladConfig
-from salad.train.recipe import PRESETS, Preset, Recipe
+from salad.cli.train import TrainCommand
+from salad.network.aggregator_config import SaladConfig
+from salad.network.config import LiteConfig, ModelConfig, Preprocessing
+from salad.training.recipe import PRESETS, Preset, Recipe
 
 Cli = Callable[..., Any]
 TINY = ModelConfig(
@@ -84,19 +85,19 @@ def test_every_setting_reaches_the_recipe() -> None:
     }
     by_stage = {"head_steps", "tune_steps", "epochs"}  # of these, the next test
     assert given.keys() | by_stage == {field.name for field in fields(Recipe)}
-    recipe = Train(preset="tiny", **given)._preset().recipe
+    recipe = TrainCommand(preset="tiny", **given)._preset().recipe
     assert {name: getattr(recipe, name) for name in given} == given
     assert (recipe.head_steps, recipe.tune_steps) == (1, 3)
-    assert Train(preset="tiny")._preset() is not None
-    assert Train(preset="tiny")._preset().recipe == PRESETS["tiny"].recipe
+    assert TrainCommand(preset="tiny")._preset() is not None
+    assert TrainCommand(preset="tiny")._preset().recipe == PRESETS["tiny"].recipe
 
 
 def test_steps_are_shared_or_given_by_stage() -> None:
-    shared = Train(preset="tiny", steps=8)._preset().recipe
+    shared = TrainCommand(preset="tiny", steps=8)._preset().recipe
     assert (shared.head_steps, shared.tune_steps) == (2, 6)
-    apart = Train(preset="paper", tune_steps=8)._preset().recipe
+    apart = TrainCommand(preset="paper", tune_steps=8)._preset().recipe
     assert (apart.head_steps, apart.tune_steps, apart.epochs) == (0, 8, None)
-    assert Train(preset="paper", epochs=2)._preset().recipe.epochs == 2
+    assert TrainCommand(preset="paper", epochs=2)._preset().recipe.epochs == 2
 
 
 def test_a_benchmark_of_ones_own_is_the_judge(cli: Cli, tmp_path: Path, data: Path) -> None:

@@ -18,10 +18,11 @@ import torch
 from safetensors.torch import load_file
 
 import salad
-from salad.config import LiteConfig, ModelConfig, Preprocessing, SceneConfig, VladConfig
-from salad.model import zoo
-from salad.model.describer import build
-from salad.model.weights import write_folder
+from salad.models import hub
+from salad.models.describer import build
+from salad.models.model_folder import write_folder
+from salad.network.aggregator_config import SceneConfig, VladConfig
+from salad.network.config import LiteConfig, ModelConfig, Preprocessing
 
 
 @pytest.fixture(autouse=True)
@@ -49,10 +50,10 @@ def server(tmp_path: Path) -> Iterator[str]:
         thread.join()
 
 
-def published(name: str, monkeypatch: pytest.MonkeyPatch, **change: Any) -> zoo.ZooEntry:
+def published(name: str, monkeypatch: pytest.MonkeyPatch, **change: Any) -> hub.ZooEntry:
     """Put a row of the zoo elsewhere."""
-    row = replace(zoo.ZOO[name], **change)
-    monkeypatch.setitem(zoo.ZOO, name, row)
+    row = replace(hub.ZOO[name], **change)
+    monkeypatch.setitem(hub.ZOO, name, row)
     return row
 
 
@@ -60,9 +61,9 @@ def test_list_names_every_model(cli: Any) -> None:
     ran = cli("weights", "list")
     assert (ran.code, ran.err) == (0, "")
     lines = ran.out.splitlines()[1:]
-    assert [line.split()[0] for line in lines] == list(zoo.ZOO)
+    assert [line.split()[0] for line in lines] == list(hub.ZOO)
     rows = cli("weights", "list", "--format", "json").json()
-    assert [row["name"] for row in rows] == list(zoo.ZOO)
+    assert [row["name"] for row in rows] == list(hub.ZOO)
     assert all(set(row) == {"name", "here", "licence", "note"} for row in rows)
     for row, line in zip(rows, lines, strict=True):
         assert row["licence"] in line  # nothing is cut off where it is piped
@@ -70,7 +71,7 @@ def test_list_names_every_model(cli: Any) -> None:
 
 
 def test_list_says_what_is_here(cli: Any, home: Path) -> None:
-    path = zoo.path_of("megaloc")
+    path = hub.path_of("megaloc")
     path.parent.mkdir(parents=True)
     path.touch()
     here = {row["name"]: row["here"] for row in cli("weights", "list", "--format", "json").json()}
@@ -81,8 +82,8 @@ def test_list_says_what_is_here(cli: Any, home: Path) -> None:
 def test_info_tells_where_weights_lie(cli: Any, home: Path) -> None:
     ran = cli("weights", "info", "dinov2-salad")
     assert (ran.code, ran.err) == (0, "")
-    row = zoo.ZOO["dinov2-salad"]
-    for fact in (row.url, row.licence, str(row.dim), str(zoo.path_of("dinov2-salad"))):
+    row = hub.ZOO["dinov2-salad"]
+    for fact in (row.url, row.licence, str(row.dim), str(hub.path_of("dinov2-salad"))):
         assert fact in ran.out
 
 
@@ -116,7 +117,7 @@ def test_fetch_without_a_network_says_which_file_to_put_where(
     sentence = ran.err.splitlines()[-1]
     assert sentence.startswith("salad: could not fetch 'megaloc'")
     assert row.url in sentence
-    assert str(zoo.path_of("megaloc")) in sentence
+    assert str(hub.path_of("megaloc")) in sentence
     assert "Traceback" not in ran.err
 
 
@@ -124,11 +125,11 @@ def test_offline_is_told_the_same_way(cli: Any, monkeypatch: pytest.MonkeyPatch)
     def offline(*_: Any, **__: Any) -> None:
         raise urllib.error.URLError("Network is unreachable")
 
-    monkeypatch.setattr("salad.model.download._receive", offline)
+    monkeypatch.setattr("salad.models.hub._receive", offline)
     ran = cli("weights", "fetch", "dinov2-vits14")
     assert ran.code == 2
     assert "no connection: Network is unreachable" in ran.err
-    assert zoo.ZOO["dinov2-vits14"].url in ran.err
+    assert hub.ZOO["dinov2-vits14"].url in ran.err
 
 
 # --- convert -------------------------------------------------------------------------------

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from salad.data.town import Town
-from salad.demo import DemoResult, Judged
+from salad.demo.result import DemoResult, Judged
+from salad.demo.town.town import Town
 from salad.geo import GeoPoint, shifted
-from salad.index import Match
-from salad.photos import Photo, save_jpeg
-from salad.place import Answer, Place
+from salad.images.decode import save_jpeg
+from salad.images.photo import Photo
+from salad.index.search import Match
+from salad.localize.locate import Answer
+from salad.localize.voting import Place
 
 HERE = GeoPoint(47.5, 64.5)
 Paint = Callable[..., Town]

@@ -7,13 +7,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-import salad.demo as demo
-from salad.data.town import Town
-from salad.demo import DemoResult, run_demo, table
-from salad.demo.report import distance
+from salad.demo import run as demo
+from salad.demo.report import distance, table
+from salad.demo.result import DemoResult
+from salad.demo.run import run_demo
+from salad.demo.town.town import Town
 from salad.errors import StoreError
-from salad.index import Index
-from salad.model.fake import FakeDescriber
+from salad.index.index import Index
+from salad.models.fake import FakeDescriber
 
 Result = Callable[..., DemoResult]
 
@@ -133,7 +134,7 @@ def test_the_shipped_model_is_asked_for_by_name(
         return FakeDescriber(name=name)
 
     monkeypatch.setattr(demo, "draw_town", paint)
-    monkeypatch.setattr("salad.model.weights.load", load)
+    monkeypatch.setattr("salad.models.model_folder.load", load)
     assert run_demo(tmp_path, references=3, queries=1).model == "salad-lite"
     assert asked == ["salad-lite"]
 

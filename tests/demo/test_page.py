@@ -15,13 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pages import Page, Sharing
-from salad.demo import DemoResult
 from salad.demo.page import draw_page, write_page
+from salad.demo.result import DemoResult
 from salad.demo.strips import coordinates
 from salad.demo.townmap import Frame, draw_map
 from salad.errors import BenchmarkError
 from salad.geo import EARTH_RADIUS_M, GeoPoint, metres_between, round_metres, shifted
-from salad.model.fake import FakeDescriber
+from salad.models.fake import FakeDescriber
 
 Result = Callable[..., DemoResult]
 

@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salad.data.benchmark import Benchmark
-from salad.evaluation import Ranked, Terms, judged, metres
-from salad.evaluation.curves import Answers
+from salad.datasets.benchmark import Benchmark
+from salad.evaluation import metrics
+from salad.evaluation.evaluate import EvalSettings, judged
+from salad.evaluation.metrics import Answers
+from salad.evaluation.ranking import Ranked
 from salad.geo import GeoPoint, shifted
-from salad.photos import Photo
+from salad.images.photo import Photo
 
 HOME = GeoPoint(48.1, 11.5)
 Case = list[tuple[float, bool, bool]]
@@ -84,9 +86,9 @@ def test_an_unanswerable_query_is_a_chance_to_be_wrong() -> None:
 def test_medians_and_shares_of_repeated_queries(pairs: list[tuple[float, int]]) -> None:
     far, times = np.array([one for one, _ in pairs]), np.array([[float(count) for _, count in pairs]])
     repeated = sorted(np.repeat(far, times[0].astype(int)).tolist())
-    assert metres.medians(far, times)[0] == repeated[(len(repeated) - 1) // 2]
-    due = [100 * sum(one <= limit for one in repeated) / len(repeated) for limit in metres.WITHIN]
-    assert metres.shares(far, times)[0].tolist() == pytest.approx(due)
+    assert metrics.distance_medians(far, times)[0] == repeated[(len(repeated) - 1) // 2]
+    due = [100 * sum(one <= limit for one in repeated) / len(repeated) for limit in metrics.WITHIN_M]
+    assert metrics.shares_within(far, times)[0].tolist() == pytest.approx(due)
 
 
 def placed(name: str, north: float | None) -> Photo:
@@ -104,7 +106,9 @@ def test_metres_of_a_result() -> None:
     ]
     positives = [np.array([0]), np.array([1]), np.array([0]), np.array([0]), np.zeros(0, np.int64)]
     ranked = Ranked(np.array([[0], [1], [2], [0], [3]]))
-    drop = judged(Benchmark("b", "radius 25 m", references, queries, positives), ranked, Terms(), model="m")
+    drop = judged(
+        Benchmark("b", "radius 25 m", references, queries, positives), ranked, EvalSettings(), model="m"
+    )
     far = drop.distances
     assert far is not None
     assert far.known == 2  # q2's match and q3 have no position, q4 no answer
@@ -115,7 +119,7 @@ def test_metres_of_a_result() -> None:
     miss = judged(
         Benchmark("b", "p", references, queries, positives, unanswerable_rule="miss"),
         ranked,
-        Terms(),
+        EvalSettings(),
         model="m",
     )
     assert miss.distances is not None
@@ -127,7 +131,7 @@ def test_a_query_without_a_match_is_infinitely_far() -> None:
     references, queries = [placed("r0", 0.0)], [placed("q0", 1.0), placed("q1", 1.0), placed("q2", 1.0)]
     right = [np.array([0])] * 3
     ranked = Ranked(np.array([[0], [-1], [-1]]), np.array([[0.5], [-np.inf], [-np.inf]]))
-    result = judged(Benchmark("b", "p", references, queries, right), ranked, Terms(), model="m")
+    result = judged(Benchmark("b", "p", references, queries, right), ranked, EvalSettings(), model="m")
     assert result.distances is not None
     assert math.isinf(result.distances.median)
     assert result.distances.as_dict()["median"] is None
@@ -136,5 +140,5 @@ def test_a_query_without_a_match_is_infinitely_far() -> None:
     assert result.precision_recall.area == pytest.approx(100 / 3)
     assert result.verdicts[1].matches == ()
     nothing = Ranked(np.full((3, 1), -1), np.full((3, 1), -np.inf))
-    empty = judged(Benchmark("b", "p", references, queries, right), nothing, Terms(), model="m")
+    empty = judged(Benchmark("b", "p", references, queries, right), nothing, EvalSettings(), model="m")
     assert (empty.distances, empty.precision_recall, empty.recall[1]) == (None, None, 0.0)

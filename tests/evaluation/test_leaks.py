@@ -12,7 +12,7 @@ from PIL import Image
 from salad.errors import BenchmarkError
 from salad.evaluation import leaks
 from salad.evaluation.leaks import find_leaks
-from salad.photos import Photo
+from salad.images.photo import Photo
 
 
 def scene(seed: int) -> Image.Image:

@@ -13,13 +13,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from salad.config import Calibration
-from salad.data.benchmark import Benchmark
+from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
-from salad.evaluation import Held, Ranked, Terms, evaluate, judged, nearest, rank, ranking, recall_at
-from salad.evaluation.measuring import CENTRED
-from salad.model.fake import FakeDescriber
-from salad.photos import Photo
+from salad.evaluation import ranking
+from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judged
+from salad.evaluation.metrics import recall_at
+from salad.evaluation.ranking import Held, Ranked, nearest, rank
+from salad.images.photo import Photo
+from salad.models.fake import FakeDescriber
+from salad.network.config import Calibration
 
 KS = (1, 2, 3, 5, 8)
 # A busy machine is no failure: no test here depends on time.
@@ -203,7 +205,7 @@ class TestAgainstAnIndependentComputation:
             for side, rows in zip("rq", (references, queries), strict=True)
         )
         benchmark = Benchmark("b", "p", *sides, tuple(positives))
-        result = judged(benchmark, Ranked(ranked), Terms(KS, rule, times=2), model="m")
+        result = judged(benchmark, Ranked(ranked), EvalSettings(KS, rule, times=2), model="m")
         assert result.recall == pytest.approx(due)
         assert result.unanswerable == sum(not rows for rows in right)
 
@@ -320,7 +322,7 @@ class TestEvaluate:
 
     def test_as_many_rankings_as_queries(self, drive: Benchmark) -> None:
         with pytest.raises(BenchmarkError, match="1 rankings but 6 queries"):
-            judged(drive, Ranked(np.array([[0]])), Terms(), model="m")
+            judged(drive, Ranked(np.array([[0]])), EvalSettings(), model="m")
 
     def test_batches_do_not_matter(self, drive: Benchmark) -> None:
         recalls = [evaluate(drive, FakeDescriber(dim=2), batch_size=size).recall for size in (1, 7, 64)]

@@ -18,12 +18,12 @@ from PIL import Image
 
 from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.geo import GeoPoint
-from salad.helpers import Helpers
-from salad.index import Index, build, index_photos
-from salad.index.build import in_order, workers
-from salad.index.hands import _hands
-from salad.model.fake import FakeDescriber
-from salad.photos import Photo, PhotoTable, identity
+from salad.images.photo import Photo, PhotoTable, content_hash
+from salad.images.workers import Helpers, _hands, in_order, workers
+from salad.index import build
+from salad.index.build import index_photos
+from salad.index.index import Index
+from salad.models.fake import FakeDescriber
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def test_an_index_that_cannot_be_written_is_not_tried_twice(
 # What a helper runs whose decoder breaks down over some photos.
 BROKEN = """
 import os
-from salad import reading
+from salad.images import workers as reading
 
 honest = reading.TASKS["decode"]
 reading.TASKS["decode"] = lambda path, *rest: os._exit(9) if path.name in ("03.png", "11.png") else honest(path, *rest)
@@ -220,8 +220,8 @@ reading.main()
 def test_many_photos_are_read_by_helpers_and_a_crash_costs_one(
     index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("salad.index.hands.FEW", 10)
-    monkeypatch.setattr("salad.helpers._STARTER", BROKEN)
+    monkeypatch.setattr("salad.images.workers.FEW", 10)
+    monkeypatch.setattr("salad.images.workers._STARTER", BROKEN)
     table = tmp_path / "places.csv"
     table.write_text("path,lat,lon\nphotos/05.png,1,2\n")
     done = index_photos(photos, index, FakeDescriber(), table=PhotoTable.read(table), batch_size=4)
@@ -238,8 +238,8 @@ def test_an_interrupt_ends_the_helpers(
     index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Helpers] = []
-    monkeypatch.setattr("salad.index.hands.FEW", 10)
-    monkeypatch.setattr("salad.index.hands.Helpers", lambda n: made.append(Helpers(n)) or made[0])
+    monkeypatch.setattr("salad.images.workers.FEW", 10)
+    monkeypatch.setattr("salad.images.workers.Helpers", lambda n: made.append(Helpers(n)) or made[0])
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         index_photos(photos, index, CountingDescriber(interrupt_at=7), batch_size=3)
@@ -253,15 +253,17 @@ def test_an_interrupt_ends_the_helpers(
 SLOW = """
 import sys, time
 from pathlib import Path
-from salad.index import Index, hands, index_photos
-from salad.model.fake import FakeDescriber
+from salad.images import workers
+from salad.index.build import index_photos
+from salad.index.index import Index
+from salad.models.fake import FakeDescriber
 
 class Slow(FakeDescriber):
     def describe(self, photos, *, batch_size=16):
         time.sleep(0.05)
         return super().describe(photos, batch_size=batch_size)
 
-hands.FEW = 2
+workers.FEW = 2
 model, folder = Slow(), Path(sys.argv[1])
 index = Index.create(folder / "i", dim=model.dim, fingerprint=model.fingerprint, model=model.name)
 photos = sorted((folder / "photos").iterdir())
@@ -345,10 +347,10 @@ def test_after_indexing_each_content_is_found_where_it_is(
                 by_chance.shuffle(files)
                 done = index_photos(files, index, FakeDescriber(), batch_size=batch_size)
                 assert done.added + done.skipped == len(files)
-                held = {identity(path): path for path in files}
+                held = {content_hash(path): path for path in files}
                 found = index.find(list(held))
                 assert set(found) == set(held)
-                assert all(identity(photo.path) == content for content, photo in found.items())
+                assert all(content_hash(photo.path) == content for content, photo in found.items())
                 live: list[Photo] = list(index.photos())
                 assert len({photo.path for photo in live}) == len(live)
         assert index.verify() == []

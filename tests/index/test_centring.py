@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salad.evaluation.ranking import Held, nearest
-from salad.index import Index, centring
-from salad.index.matrix import Rows
-from salad.photos import Photo
+from salad.images.photo import Photo
+from salad.index import centring
+from salad.index.index import Index
+from salad.index.vectors import Rows
 
 Make = Callable[[np.ndarray], Index]
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from salad.errors import StoreError
 from salad.geo import GeoPoint, metres_between, shifted
-from salad.index import Index, filters
+from salad.images.photo import Photo
+from salad.index import filters
+from salad.index.catalog import Ledger
 from salad.index.filters import Filter, allowed
-from salad.index.ledger import Ledger
-from salad.photos import Photo
+from salad.index.index import Index
 
 EAST_3 = timezone(timedelta(hours=3))
 LONGITUDES = st.sampled_from([-180.0, -179.9999, 0.0, 1e-7, 179.9999, 180.0]) | st.floats(-180, 180)

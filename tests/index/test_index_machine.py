@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from salad.geo import GeoPoint
-from salad.index import Index
+from salad.images.photo import Photo
 from salad.index.filters import Filter
-from salad.photos import Photo
+from salad.index.index import Index
 
 DIM = 6
 HOME = Path("/photos")

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from salad.errors import StoreError
 from salad.index import scan, search
-from salad.index.matrix import Rows
 from salad.index.search import as_queries, best_rows
+from salad.index.vectors import Rows
 
 
 def _oracle(matrix: np.ndarray, query: np.ndarray, k: int, allowed: np.ndarray) -> list[tuple[int, float]]:

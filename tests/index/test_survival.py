@@ -23,9 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salad.errors import SaladError, StoreError
-from salad.index import Index
-from salad.index.ledger import Ledger
-from salad.photos import Photo
+from salad.images.photo import Photo
+from salad.index.catalog import Ledger
+from salad.index.index import Index
 
 KILLS = 100 if os.environ.get("SALAD_THOROUGH") else 50
 DIM = 64
@@ -323,9 +323,9 @@ def test_a_search_that_a_compaction_overtakes_begins_again(
 ) -> None:
     add(index, range(6))
     index.remove([HOME / "0.jpg"])
-    from salad.index import store
+    from salad.index import index as index_module
 
-    rank = store.best_rows
+    rank = index_module.best_rows
     overtaken: list[int] = []
 
     def slow(*arguments: Any, **settings: Any) -> Any:
@@ -334,13 +334,13 @@ def test_a_search_that_a_compaction_overtakes_begins_again(
             overtaken.append(index.compact().kept)
         return ranked
 
-    monkeypatch.setattr(store, "best_rows", slow)
+    monkeypatch.setattr(index_module, "best_rows", slow)
     assert found(index, 4) == "4"
     assert overtaken == [5]
 
 
 def test_a_list_goes_on_behind_a_compaction(index: Index, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("salad.index.ledger._PAGE", 3)
+    monkeypatch.setattr("salad.index.catalog._PAGE", 3)
     add(index, range(12))
     listing = index.photos()
     listed = [next(listing).path.stem for _ in range(3)]
@@ -366,7 +366,7 @@ def test_a_list_goes_on_behind_a_compaction(index: Index, monkeypatch: pytest.Mo
 
 
 def test_pages_are_of_one_commit(index: Index, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("salad.index.health._BLOCK", 3 * DIM)
+    monkeypatch.setattr("salad.index.verify._BLOCK", 3 * DIM)
     add(index, range(9))
     pages = index.pages()
     read = next(pages).identities
@@ -380,12 +380,12 @@ def test_pages_are_of_one_commit(index: Index, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_verify_begins_again_behind_a_compaction(index: Index, monkeypatch: pytest.MonkeyPatch) -> None:
-    from salad.index import health
+    from salad.index import verify
 
     add(index, range(6))
     index.remove([HOME / "0.jpg"])
     flip(index, 5)
-    look = health.damaged
+    look = verify.damaged
     overtaken: list[int] = []
 
     def slow(*arguments: Any) -> list[int]:
@@ -395,7 +395,7 @@ def test_verify_begins_again_behind_a_compaction(index: Index, monkeypatch: pyte
             index.compact()
         return bad
 
-    monkeypatch.setattr(health, "damaged", slow)
+    monkeypatch.setattr(verify, "damaged", slow)
     assert index.verify() == []  # the compaction let go of the damaged photo
     assert "5" not in names(index)
 
@@ -405,9 +405,9 @@ def test_verify_begins_again_behind_a_compaction(index: Index, monkeypatch: pyte
 _FULL = """
 import resource, signal, sys
 from salad.errors import StoreError
-from salad.index import Index
+from salad.index.index import Index
 from pathlib import Path
-from salad.photos import Photo
+from salad.images.photo import Photo
 import numpy as np
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -617,7 +617,7 @@ def test_verify_says_what_it_can_of_a_table_that_cannot_be_read(
     def unreadable(table: Ledger) -> list[str]:
         raise StoreError("the table is damaged")
 
-    monkeypatch.setattr("salad.index.health.complaints", unreadable)
+    monkeypatch.setattr("salad.index.verify.complaints", unreadable)
     said = index.verify()
     assert said[0] == "the table is damaged"
     assert "1.jpg has a damaged descriptor" in said[1]

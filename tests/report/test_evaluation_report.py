@@ -17,15 +17,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pages import Page, Sharing
-from salad.data.benchmark import Benchmark
+from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation import Ranked, Result, Terms, judged, read_result, write_result
+from salad.evaluation.evaluate import EvalSettings, judged
 from salad.evaluation.leaks import Leak
-from salad.evaluation.result import Verdict
+from salad.evaluation.ranking import Ranked
+from salad.evaluation.result import Result, Verdict, read_result, write_result
 from salad.geo import GeoPoint, metres_between, round_metres, shifted, told_metres
-from salad.model.fake import FakeDescriber
-from salad.photos import Photo, save_jpeg
-from salad.report import choosing, draw_report, plots, sheet, words, write_report
+from salad.images.decode import save_jpeg
+from salad.images.photo import Photo
+from salad.models.fake import FakeDescriber
+from salad.report import choosing, plots, sheet, words
+from salad.report.page import draw_report, write_report
 from salad.report.pictures import link
 
 HOME = GeoPoint(48.1, 11.5)
@@ -78,7 +81,9 @@ def make(tmp_path: Path) -> Make:
             "set", protocol, sides[0], sides[1], right, ("a note",), groups=tuple(groups) if groups else None
         )
         ranked = Ranked(rows, scores if scored else None)
-        return judged(set_, ranked, Terms((1, 2), times=40), model="mine", fingerprint="f1", seconds=1.25)
+        return judged(
+            set_, ranked, EvalSettings((1, 2), times=40), model="mine", fingerprint="f1", seconds=1.25
+        )
 
     return make
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from salad.errors import SaladError
+from salad.errors import ModelError, SaladError
+
+if TYPE_CHECKING:
+    from salad.index.index import Index
+    from salad.models.describer import Describes
+
 
 SHIPPED = "salad-lite"  # the model in the package, which needs no download
 
@@ -39,3 +44,37 @@ def positive(number: int, what: str) -> int:
     if number < 1:
         raise SaladError(f"{what} {number} is too few: give 1 or more")
     return number
+
+
+# --- How commands open an index, and which model they load for it ---
+
+
+def model_of(folder: Path) -> str:
+    """The name in the zoo of an index's model; where there is no index yet, of the model that ships."""
+    from salad.index.index import Index as Opened
+    from salad.models.hub import ZOO
+
+    if not is_index(folder):
+        return SHIPPED
+    with Opened.open(folder) as index:
+        if index.model in ZOO:
+            return index.model
+        raise ModelError(
+            f"{folder} was made with {index.model!r}, which is not in the zoo: say where that model is with --model"
+        )
+
+
+def opened(folder: Path, model: Describes) -> Index:
+    """The index in a folder, made for the model where there is none yet."""
+    from salad.index.index import Index as Opened
+
+    if is_index(folder):
+        return Opened.open(folder)
+    return Opened.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+
+
+def is_index(folder: Path) -> bool:
+    """Whether there is an index in a folder."""
+    from salad.index.index_folder import HEADER_FILE
+
+    return (folder / HEADER_FILE).exists()

@@ -13,7 +13,7 @@ from salad.cli import shell
 from salad.cli.arguments import Form
 
 if TYPE_CHECKING:
-    from salad.data.rules import Protocol
+    from salad.datasets.readers.base import Protocol
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class List:
 
     def run(self) -> int:
         """List."""
-        from salad.data.protocols import PROTOCOLS
+        from salad.datasets.protocols import PROTOCOLS
 
         rows = [_told(protocol) for protocol in PROTOCOLS.values()]
         if self.format == "json":
@@ -53,7 +53,7 @@ class Check:
 
     def run(self) -> int:
         """Check."""
-        from salad.data.checking import check
+        from salad.datasets.protocols import check
 
         findings = check(self.folder)
         if self.format == "json":
@@ -69,7 +69,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Datasets:
+class DatasetsCommand:
     """See which protocols there are, and what a folder is."""
 
     command: Annotated[List, subcommand("list")] | Annotated[Check, subcommand("check")]
@@ -102,7 +102,7 @@ def _cells(row: dict[str, Any], shown: Iterable[str]) -> list[str]:
 
 
 def _nothing(folder: Path) -> str:
-    from salad.data.layouts import LAYOUTS
+    from salad.datasets.readers.table import LAYOUTS
 
     known = "; ".join(f"{layout.name} ({layout.what})" for layout in LAYOUTS.values())
     return f"{folder} is in no layout known here: {known}"

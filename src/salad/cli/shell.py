@@ -31,7 +31,7 @@ def listed(names: Iterable[str]) -> Iterator[str]:
         if name != "-":
             yield name
         else:
-            from salad.photos import listed as paths_on
+            from salad.images.photo import listed as paths_on
 
             yield from map(str, paths_on(sys.stdin))
 

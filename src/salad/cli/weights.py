@@ -23,9 +23,9 @@ class List:
 
     def run(self) -> int:
         """List."""
-        from salad.model import zoo
+        from salad.models import hub
 
-        rows = [(entry, zoo.path_of(entry.name).exists()) for entry in zoo.ZOO.values()]
+        rows = [(entry, hub.path_of(entry.name).exists()) for entry in hub.ZOO.values()]
         if self.format == "json":
             shell.put_json(
                 [{"name": e.name, "here": here, "licence": e.licence, "note": e.note} for e, here in rows]
@@ -50,9 +50,9 @@ class Info:
         """Tell."""
         from dataclasses import asdict
 
-        from salad.model import zoo
+        from salad.models import hub
 
-        entry, path = zoo.entry(self.name), zoo.path_of(self.name)
+        entry, path = hub.entry(self.name), hub.path_of(self.name)
         told = {key: value for key, value in asdict(entry).items() if value is not None}
         shell.facts(told | {"path": path, "here": "yes" if path.exists() else "no"})
         return shell.FOUND
@@ -66,11 +66,11 @@ class Fetch:
 
     def run(self) -> int:
         """Fetch."""
-        from salad.model import zoo
+        from salad.models import hub
 
-        shell.say(f"{self.name}: {zoo.entry(self.name).licence}")
+        shell.say(f"{self.name}: {hub.entry(self.name).licence}")
         with shell.progress(f"fetching {self.name}") as bar:
-            path = zoo.fetch(self.name, progress=bar)
+            path = hub.fetch(self.name, progress=bar)
         shell.put(str(path))
         return shell.FOUND
 
@@ -87,7 +87,7 @@ class Convert:
 
     def run(self) -> int:
         """Convert."""
-        from salad.model.weights import load, write_folder
+        from salad.models.model_folder import load, write_folder
 
         shell.put(str(write_folder(load(self.file, heads=self.heads), self.to)))
         return shell.FOUND
@@ -112,10 +112,10 @@ class Vocabulary:
 
     def run(self) -> int:
         """Make the vocabulary."""
-        from salad.cli.opening import model_of
-        from salad.index import Index
-        from salad.model.fitting import with_vocabulary
-        from salad.model.weights import load, write_folder
+        from salad.cli.arguments import model_of
+        from salad.index.index import Index
+        from salad.models.model_folder import load, write_folder
+        from salad.training.start import with_vocabulary
 
         positive(self.clusters, "--clusters")
         if self.to.exists():  # said before the work, not after it
@@ -151,15 +151,15 @@ class Mean:
 
     def run(self) -> int:
         """Average."""
-        from salad.model.averaging import mean
-        from salad.model.weights import load, write_folder
+        from salad.models.model_folder import load, write_folder
+        from salad.network.checkpoints import mean
 
         shell.put(str(write_folder(mean([load(each) for each in self.models]), self.to)))
         return shell.FOUND
 
 
 @dataclass(frozen=True)
-class Weights:
+class WeightsCommand:
     """See which models there are, and get them onto this machine."""
 
     command: (

@@ -14,10 +14,10 @@ from salad.demo.result import VERDICTS, WITHIN_M, DemoResult
 from salad.demo.strips import Pictures, draw_strip
 from salad.demo.townmap import draw_map
 from salad.errors import BenchmarkError
-from salad.wholefile import write_whole
+from salad.files import write_whole
 
 if TYPE_CHECKING:
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
 
 
 def write_page(result: DemoResult, model: Describes | None = None) -> Path:

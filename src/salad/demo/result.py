@@ -8,10 +8,10 @@ from pathlib import Path
 from statistics import median
 from typing import Literal
 
-from salad.data.town import Town
+from salad.demo.town.town import Town
 from salad.geo import GeoPoint, metres_between
-from salad.index import Match
-from salad.place import Answer
+from salad.index.search import Match
+from salad.localize.locate import Answer
 
 WITHIN_M = 25.0
 """An answer so close to the truth is right: the field's own measure."""

@@ -11,13 +11,13 @@ from PIL import Image
 
 from salad.demo.report import distance
 from salad.demo.result import WITHIN_M, Judged
-from salad.explain import cluster_layer, data_uri, dustbin_layer, share_of
 from salad.geo import GeoPoint
-from salad.index import Match
-from salad.photos import open_rgb
+from salad.images.decode import open_rgb
+from salad.index.search import Match
+from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_of
 
 if TYPE_CHECKING:
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
 
 BEST = 3
 QUERY_WIDTH, REFERENCE_WIDTH = 480, 320  # pixels: twice of what the page shows, for fine screens

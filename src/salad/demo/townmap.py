@@ -11,7 +11,7 @@ from itertools import chain
 from salad.demo.report import distance
 from salad.demo.result import DemoResult, Judged
 from salad.geo import EARTH_RADIUS_M, GeoPoint, round_metres
-from salad.photos import read_photo
+from salad.images.photo import read_photo
 
 MARGIN_M = 9.0
 TINTS = 4  # of house roofs

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from salad.errors import BenchmarkError, PhotoError
-from salad.photos import Photo, identity, open_rgb, squeeze
+from salad.images.decode import open_rgb, squeeze
+from salad.images.photo import Photo, content_hash
 
 SIDE = 32  # the thumbnails' side in pixels
 ALIKE = 3.0  # grey levels that thumbnails of one picture may differ by on average; JPEG at quality 50 makes about 1
@@ -92,8 +93,8 @@ def _same_files(queries: Sequence[Photo], references: Sequence[Photo]) -> Iterat
         if size not in contents:
             contents[size] = defaultdict(list)
             for number in sizes[size]:
-                contents[size][identity(queries[number].path)].append(number)
-        for number in contents[size].get(identity(photo.path), ()):
+                contents[size][content_hash(queries[number].path)].append(number)
+        for number in contents[size].get(content_hash(photo.path), ()):
             yield Leak(number, row, str(queries[number].path), str(photo.path), "file")
 
 

@@ -18,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.errors import SaladError
-from salad.index.hands import in_order, reader_for, workers
-from salad.index.store import Index
-from salad.photos import Photo, PhotoTable, identity, placed
-from salad.reading import Here, Pixels
+from salad.images.photo import Photo, PhotoTable, content_hash, placed
+from salad.images.workers import Here, Pixels, in_order, reader_for, workers
+from salad.index.index import Index
 
 if TYPE_CHECKING:
-    from salad.config import Preprocessing
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
+    from salad.network.config import Preprocessing
 
 __all__ = ["Indexed", "Pixels", "in_order", "index_photos", "workers"]
 
@@ -226,7 +225,7 @@ def _decode(reader: Here, item: _Item, to: Preprocessing) -> _Item:
 def _in_place(path: Path, content: str) -> bool:
     """Whether the file at `path` still holds that content."""
     try:
-        return identity(path) == content
+        return content_hash(path) == content
     except SaladError:
         return False
 

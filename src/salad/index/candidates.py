@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from salad.index.matrix import UNIT_TOLERANCE
+from salad.index.vectors import UNIT_TOLERANCE
 
 Queries: TypeAlias = npt.NDArray[np.float32]
 Scores: TypeAlias = npt.NDArray[np.float32]

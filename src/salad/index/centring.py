@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.index.candidates import Mask, Queries
-from salad.index.matrix import UNIT_TOLERANCE, Rows
+from salad.index.vectors import UNIT_TOLERANCE, Rows
 
 Mean: TypeAlias = npt.NDArray[np.float64]
 

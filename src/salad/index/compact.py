@@ -18,8 +18,8 @@ from typing import BinaryIO
 import numpy as np
 
 from salad.errors import StoreError
-from salad.index import health, layout, ledger, matrix
-from salad.index.ledger import Committed, Ledger
+from salad.index import catalog, index_folder, vectors, verify
+from salad.index.catalog import Committed, Ledger
 
 _OURS = re.compile(r"descriptors(-\d+)?\.f16")
 
@@ -46,7 +46,7 @@ def compact(folder: Path, table: Ledger, *, dim: int) -> Compacted:
     Raises:
         StoreError: If another program is writing, or the disk has no room for the new file; nothing changed.
     """
-    before = layout.size(folder)
+    before = index_folder.size(folder)
     try:
         with table.writing():
             last = table.committed()
@@ -58,26 +58,26 @@ def compact(folder: Path, table: Ledger, *, dim: int) -> Compacted:
             _sweep(folder, keep=table.committed().matrix)
     with suppress(StoreError):  # no room, or somebody reads: the next one will do it
         table.shrink()
-    return Compacted(kept, max(0, before - layout.size(folder)), damaged)
+    return Compacted(kept, max(0, before - index_folder.size(folder)), damaged)
 
 
 def _rewrite(folder: Path, table: Ledger, last: Committed, dim: int) -> tuple[int, list[Path]]:
     """Inside of a change: how many rows stay, and the photos whose descriptors were not worth keeping."""
-    old = matrix.Rows(folder / last.matrix, rows=last.rows, dim=dim)
+    old = vectors.Rows(folder / last.matrix, rows=last.rows, dim=dim)
     alive = np.zeros(last.rows, dtype=np.bool_)
     live, noted = table.live_rows(), table.sums()
     alive[live[live < last.rows]] = True
     full = len(live) == alive.sum() == old.held == last.rows
-    if full and (noted != ledger.UNKNOWN).all() and not health.damaged(old, alive, noted):
+    if full and (noted != catalog.UNKNOWN).all() and not verify.damaged(old, alive, noted):
         return len(live), []  # nothing to be gained
     name = f"descriptors-{last.generation + 1}.f16"
     rows, sums = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     with _written(folder / name) as file:
-        for start, block, good in health.checked(old, alive, noted):
+        for start, block, good in verify.checked(old, alive, noted):
             chosen = block[good]
             file.write(chosen.data)
             rows.append(start + good.nonzero()[0])
-            sums.append(np.array(matrix.sums(chosen), dtype=np.int64))
+            sums.append(np.array(vectors.sums(chosen), dtype=np.int64))
     old.close()
     kept = np.concatenate(rows)
     lost = np.setdiff1d(live, kept)
@@ -95,7 +95,7 @@ def _written(path: Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        layout.settle(path.parent)
+        index_folder.settle(path.parent)
     except OSError as error:
         raise StoreError(
             f"{path} cannot be written ({error.strerror}): nothing was changed; a compaction needs room for "

@@ -17,7 +17,7 @@ import numpy as np
 from salad.errors import StoreError
 from salad.geo import EARTH_RADIUS_M, GeoPoint, metres, turn_between
 from salad.index.candidates import Mask
-from salad.index.ledger import Ledger
+from salad.index.catalog import Ledger
 
 Box = tuple[float, float, float, float]
 Part = tuple[str, tuple[Any, ...]]  # a condition of SQL with its parameters

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.index.candidates import Candidates, Mask, Numbers, Queries, Scores
-from salad.index.matrix import STORED, Rows
+from salad.index.vectors import STORED, Rows
 
 if TYPE_CHECKING:
     import torch

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.errors import StoreError
+from salad.images.photo import Photo
 from salad.index.candidates import Mask, Queries, bounds
-from salad.index.matrix import Rows
 from salad.index.scan import best_pairs
-from salad.photos import Photo
+from salad.index.vectors import Rows
 
 if TYPE_CHECKING:
     from salad.index.filters import Filter

@@ -6,8 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-from salad.evaluation import Result
-from salad.evaluation.verdicts import along
+from salad.evaluation.result import Result, along
 from salad.report.choosing import OUTCOMES, Outcome, outcome
 from salad.report.sheet import SINGLE, WIDE, named
 from salad.report.words import shown

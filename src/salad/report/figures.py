@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from salad._version import __version__
-from salad.evaluation import Result, Verdict
-from salad.evaluation.intervals import Interval
+from salad.evaluation.bootstrap import Interval
+from salad.evaluation.result import Result, Verdict
 from salad.geo import told_metres
 from salad.report.choosing import OUTCOMES, counts
 from salad.report.words import ends, exact, several, shown, whole

@@ -9,7 +9,8 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from salad.errors import BenchmarkError
-from salad.evaluation import Result
+from salad.evaluation.result import Result
+from salad.files import write_whole
 from salad.report import figures, plots
 from salad.report.choosing import UNANSWERABLE, surest, worst
 from salad.report.drive import draw_drive
@@ -17,10 +18,9 @@ from salad.report.pictures import Pictures
 from salad.report.sheet import draw_maps, position
 from salad.report.strips import draw_strip
 from salad.report.words import ends, exact, several, shown
-from salad.wholefile import write_whole
 
 if TYPE_CHECKING:
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
 
 MAP_KEY = (
     '<p class="small">Dashed: from a wrong query to where it was thought to be. Grey: references that were found. '

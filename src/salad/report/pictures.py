@@ -11,13 +11,13 @@ from urllib.parse import quote_from_bytes
 from PIL import Image
 
 from salad.errors import PhotoError
-from salad.evaluation import Result
-from salad.explain import data_uri, dustbin_layer, share_of
-from salad.photos import open_rgb
+from salad.evaluation.result import Result
+from salad.images.decode import open_rgb
+from salad.report.explain import data_uri, dustbin_layer, share_of
 from salad.report.words import shown
 
 if TYPE_CHECKING:
-    from salad.model.describer import Describes
+    from salad.models.describer import Describes
 
 SIDE = 256  # pixels of a photo's longer side
 QUALITY = 74

@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from salad.evaluation import Result
-from salad.evaluation.intervals import Interval
+from salad.evaluation.bootstrap import Interval
+from salad.evaluation.result import Result
 from salad.geo import told_metres
 
 WIDE, HIGH = 360, 230  # of what lies between the axes; the page scales it

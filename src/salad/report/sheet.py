@@ -6,8 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from salad.evaluation import Result, Verdict
-from salad.evaluation.result import Degrees
+from salad.evaluation.result import Degrees, Result, Verdict
 from salad.geo import EARTH_RADIUS_M, round_metres, told_metres
 from salad.report.choosing import OUTCOMES, Outcome, outcome
 from salad.report.words import shown

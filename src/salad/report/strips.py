@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from salad.evaluation import Verdict
+from salad.evaluation.result import Verdict
 from salad.geo import told_metres
 from salad.report.choosing import outcome
 from salad.report.pictures import Pictures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from salad.evaluation.intervals import Interval
+from salad.evaluation.bootstrap import Interval
 
 
 def shown(text: str) -> str:

@@ -1,0 +1,338 @@
+"""`salad evaluate`: any model, or any other method's descriptors or rankings, judged under a named protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+
+from salad.cli import result_tables, shell
+from salad.cli.arguments import SHIPPED, Form, Metres, Number, Table
+from salad.errors import BenchmarkError
+
+if TYPE_CHECKING:
+    from salad.datasets.benchmark import Benchmark
+    from salad.evaluation.result import Result
+    from salad.images.photo import PhotoTable
+    from salad.models.describer import Describes
+
+
+# --- The benchmark that two folders and one rule make, for the commands that measure a model ---
+
+
+def benchmark_of(
+    references: Path,
+    queries: Path,
+    *,
+    truth: Path | None,
+    frames: int | None,
+    radius: float | None,
+    heading: float | None = None,
+    table: Path | None = None,
+) -> Benchmark:
+    """Two folders, and exactly one rule for what is right.
+
+    Args:
+        references: photos whose places are known.
+        queries: photos to recognise.
+        truth: a table of what is right.
+        frames: right within so many frames.
+        radius: right within so many metres.
+        heading: with `radius`, right only where both look the same way within so many degrees.
+        table: with `radius`, where photos were taken that do not say so themselves.
+
+    Raises:
+        BenchmarkError: there is no rule or more than one, or the set cannot be read.
+        PositionError: the table cannot be read, or names a photo that is not there.
+        PhotoError: a folder is missing or holds no photo.
+    """
+    from salad.datasets import benchmark
+
+    rules = [rule for rule in (truth, frames, radius) if rule is not None]
+    if len(rules) != 1:
+        raise BenchmarkError(
+            f"{len(rules)} rules say what is right, but it takes one: --truth, --frames or --radius"
+        )
+    if radius is None and (heading is not None or table is not None):
+        option = "--table" if heading is None else "--heading"
+        raise BenchmarkError(
+            f"{option} says more about a radius, and there is none: give --radius, or leave it away"
+        )
+    if truth is not None:
+        return benchmark.from_truth(references, queries, truth)
+    if frames is not None:
+        return benchmark.from_frames(references, queries, frames)
+    assert radius is not None
+    positions = positions_in(table)
+    made = benchmark.from_radius(references, queries, radius, table=positions, heading=heading)
+    check_positions(positions, made)
+    return made
+
+
+def positions_in(table: Path | None) -> PhotoTable | None:
+    """The table of positions, where there is one."""
+    from salad.images.photo import PhotoTable
+
+    return None if table is None else PhotoTable.read(table)
+
+
+def check_positions(positions: PhotoTable | None, benchmark: Benchmark) -> None:
+    """Make sure that every row of a table names a photo of the set, so that a misspelt one is noticed."""
+    if positions is not None:
+        positions.check_used(
+            photo.path for side in (benchmark.references, benchmark.queries) for photo in side
+        )
+
+
+Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+Text = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
+Degrees = Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")]
+FilePath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
+TwoFiles = Annotated[
+    tuple[Path, Path] | None, arg(metavar="REFERENCES.npy QUERIES.npy", help_behavior_hint="")
+]
+
+TwoNames = Annotated[
+    tuple[Path, Path] | None, arg(metavar="REFERENCES.txt QUERIES.txt", help_behavior_hint="")
+]
+
+_JUDGING = (  # what decides how a set is judged
+    *("truth", "frames", "radius", "heading", "table", "protocol", "data", "layout", "any_size"),
+    *("descriptors", "rankings", "list_photos", "called", "cache", "leaks", "plain"),
+)
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Measure a model: how often is one of the first k matches right, and how sure is that?
+
+    Name the set by --references and --queries with exactly one of --truth, --frames and --radius; or by --protocol
+    with --data. `salad datasets` lists the protocols.
+    """
+
+    references: Folder = None
+    """Folder of photos whose places are known."""
+    queries: Folder = None
+    """Folder of photos to recognise."""
+    truth: Table = None
+    """A CSV query,positives: names within the two folders, positives separated by semicolons."""
+    frames: Number = None
+    """Right within so many frames; a photo's frame is the last whole number in its name."""
+    radius: Metres = None
+    """Right within so many metres, by geotag."""
+    heading: Degrees = None
+    """With a radius: right only where both photos look the same way within so many degrees."""
+    table: Table = None
+    """With a radius: where photos were taken that do not say so themselves, as `path,lat,lon`."""
+    protocol: Text = None
+    """A published protocol by its name, which says what is right."""
+    data: Folder = None
+    """The folder of that protocol's data set."""
+    layout: Text = None
+    """How that data set lies on disk, where several ways fit; `salad datasets check DIR` tells."""
+    any_size: bool = False
+    """Take a set whose counts are not the protocol's; its figures then say so."""
+    model: Annotated[str, arg(metavar="NAME|DIR|FILE")] = SHIPPED
+    """A name of the zoo, a folder or a published file."""
+    heads: Number = None
+    """Attention heads of a published file that are not width / 64."""
+    device: str = "cpu"
+    """Where the model runs, as torch names it."""
+    descriptors: TwoFiles = None
+    """Judge these in place of a model: a row a photo, in the order of the set's photos."""
+    rankings: FilePath = None
+    """Judge these in place of a model: lines `query_key ref_key ref_key ...`, best first."""
+    list_photos: TwoNames = None
+    """Write the paths of the set's photos to these files, in the order descriptors have to be in; judge nothing."""
+    called: Text = None
+    """What to call a method that descriptors or rankings come from, where not by their file."""
+    cache: Folder = None
+    """Keep descriptors here, and describe no photo that is here already; without it none are kept."""
+    leaks: bool = False
+    """List photos that are references and queries at once."""
+    result: FilePath = None
+    """Judge nothing: take the result that --save wrote. --references and --queries then say where photos are now."""
+    save: FilePath = None
+    """Write the whole result as JSON, for `salad compare`."""
+    report: FilePath = None
+    """Write a page of it: figures, curves, a map of right and wrong, the mistakes with their photos."""
+    heat: bool = False
+    """With --result: let --model look at the page's photos again, to show what its dustbin took."""
+    csv: FilePath = None
+    """Write a table with one line a query."""
+    save_rankings: FilePath = None
+    """Write what was found as lines `query_key ref_key ref_key ...`."""
+    plain: bool = False
+    """Compare a model's descriptors as they are, as published figures do, where its own way is to leave out what all
+    references have in common."""
+    seed: int = 0
+    """Of the draws that tell how sure the figures are."""
+    format: Form = "table"
+
+    def run(self) -> int:
+        """Evaluate."""
+        from salad.evaluation.evaluate import with_leaks
+
+        self._check()
+        if self.result is not None:
+            return self._shown(*self._saved(self.result))
+        benchmark = self._benchmark()
+        if self.list_photos is not None:
+            return self._listed(benchmark, *self.list_photos)
+        result, model = self._judged(benchmark)
+        if self.leaks:
+            result = with_leaks(result, benchmark)
+        return self._shown(result, model)
+
+    def _shown(self, result: Result, model: Describes | None) -> int:
+        self._write(result)
+        if self.report is not None:
+            from salad.report.page import write_report
+
+            for told in write_report(result, self.report, model):
+                shell.say(told)
+            shell.say(f"written to {self.report}")
+        for note in (*result.notes, *result_tables.leaks_told(result)):
+            shell.say(note)
+        if self.format == "json":
+            shell.put_json(result.as_dict())
+        else:
+            shell.facts(result_tables.facts(result))
+            shell.put_table(result_tables.figures(result))
+        return shell.FOUND
+
+    def _check(self) -> None:
+        """Refuse before any work what would come to nothing after it."""
+        if self.descriptors is not None and self.rankings is not None:
+            raise BenchmarkError("--descriptors and --rankings are two methods: judge one at a time")
+        if self.cache is not None and (self.descriptors is not None or self.rankings is not None):
+            raise BenchmarkError("--cache keeps what a model describes, and no model is asked: leave it away")
+        if self.plain and (self.descriptors is not None or self.rankings is not None):
+            raise BenchmarkError("what comes from outside is compared as it is: leave --plain away")
+        if self.heat and (self.result is None or self.report is None):
+            raise BenchmarkError(
+                "--heat is for a page of a saved result: give it with --result and --report (a page made while judging "
+                "a model has its heat maps already)"
+            )
+        for path in (self.save, self.report, self.csv, self.save_rankings, *(self.list_photos or ())):
+            if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+                raise BenchmarkError(f"{path} cannot be written: name a file in a folder that is there")
+
+    def _benchmark(self) -> Benchmark:
+        if self.protocol is not None:
+            return self._named(self.protocol)
+        if self.data is not None:
+            raise BenchmarkError(
+                f"--data {self.data} is a set of no protocol: name one with --protocol (salad datasets lists them)"
+            )
+        if self.references is None or self.queries is None:
+            missing = "--references" if self.references is None else "--queries"
+            raise BenchmarkError(
+                f"{missing} is missing: name both folders, or a published set with --protocol and --data"
+            )
+        if self.layout is not None:
+            raise BenchmarkError(
+                f"--layout {self.layout} is of a published set: name it with --protocol and --data"
+            )
+        return benchmark_of(
+            self.references,
+            self.queries,
+            truth=self.truth,
+            frames=self.frames,
+            radius=self.radius,
+            heading=self.heading,
+            table=self.table,
+        )
+
+    def _named(self, protocol: str) -> Benchmark:
+        from salad.datasets.protocols import read
+
+        if (self.data is None) == (self.references is None):
+            raise BenchmarkError(
+                f"the set of {protocol} is one folder: name it with --data, or your own two with --references and "
+                "--queries"
+            )
+        positions = positions_in(self.table)
+        made = read(
+            protocol,
+            self.data or self.references or Path(),
+            queries=self.queries,
+            metres=self.radius,
+            tolerance=self.frames,
+            heading=self.heading,
+            table=positions,
+            truth=self.truth,
+            layout=self.layout,
+            any_size=self.any_size,
+        )
+        check_positions(positions, made)
+        return made
+
+    def _saved(self, path: Path) -> tuple[Result, Describes | None]:
+        """A result that was judged before, and the model it is of, where its heat maps are wanted."""
+        from salad.evaluation.result import read_result
+
+        for name in _JUDGING:
+            if getattr(self, name) not in (None, False):
+                option = name.replace("_", "-")
+                raise BenchmarkError(
+                    f"{path} is judged already, so --{option} changes nothing: leave it away"
+                )
+        result = read_result(path)
+        references, queries = result.folders
+        result = replace(result, folders=(str(self.references or references), str(self.queries or queries)))
+        return result, self._same(result) if self.heat else None
+
+    def _same(self, result: Result) -> Describes:
+        from salad.models.model_folder import load
+
+        model = load(self.model, device=self.device, heads=self.heads)
+        if model.fingerprint != result.fingerprint:
+            raise BenchmarkError(
+                f"the result is of {result.model} ({result.fingerprint or 'no model of ours'}), and {model.name} "
+                f"({model.fingerprint}) would show what another threw away: name its own with --model, or leave "
+                "--heat away"
+            )
+        return model
+
+    def _judged(self, benchmark: Benchmark) -> tuple[Result, Describes | None]:
+        from salad.evaluation.evaluate import EvalSettings, evaluate, evaluate_descriptors, evaluate_rankings
+
+        terms = EvalSettings(seed=self.seed)
+        if self.descriptors is not None:
+            name = self.called or self.descriptors[1].stem
+            return evaluate_descriptors(benchmark, *self.descriptors, name=name, terms=terms), None
+        if self.rankings is not None:
+            name = self.called or self.rankings.stem
+            return evaluate_rankings(benchmark, self.rankings, name=name, terms=terms), None
+        from salad.models.model_folder import load
+
+        model = load(self.model, device=self.device, heads=self.heads)
+        with shell.progress("describing") as bar:
+            result = evaluate(
+                benchmark, model, cache=self.cache, seed=self.seed, plain=self.plain, progress=bar
+            )
+        return result, model
+
+    def _listed(self, benchmark: Benchmark, references: Path, queries: Path) -> int:
+        from salad.evaluation.external import write_photos
+
+        for photos, path in ((benchmark.references, references), (benchmark.queries, queries)):
+            write_photos(photos, path)
+            shell.say(f"{len(photos)} photos written to {path}")
+        return shell.FOUND
+
+    def _write(self, result: Result) -> None:
+        from salad.evaluation.external import write_rankings
+        from salad.evaluation.result import write_csv, write_result
+
+        for write, path in (
+            (write_result, self.save),
+            (write_csv, self.csv),
+            (write_rankings, self.save_rankings),
+        ):
+            if path is not None:
+                write(result, path)
+                shell.say(f"written to {path}")

@@ -1,0 +1,128 @@
+"""`salad index`: photos described and added.
+
+A command is a frozen dataclass: its fields are its options, its docstring its help, `run` what it does. Each
+imports what it needs when it runs, so that a command line that is only looked at loads no torch.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+
+from salad.cli import shell
+from salad.cli.arguments import ModelName, Photos, Table, is_index, model_of, opened, positive
+from salad.errors import SaladError
+
+if TYPE_CHECKING:
+    from salad.images.photo import PhotoTable
+    from salad.index.build import Indexed
+    from salad.index.index import Index
+    from salad.models.describer import Describes
+
+
+Exported = Annotated[Path | None, arg(name="from", metavar="DIR", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class IndexCommand:
+    """Describe photos and add them to an index; what it holds already is skipped, so run it again at will."""
+
+    photos: Photos
+    to: Path
+    """The index: a folder, made where there is none."""
+    model: ModelName = None
+    """A name of the zoo, a folder or a published file; by default the index's own, else salad-lite."""
+    table: Table = None
+    """A CSV or Parquet table path,lat,lon[,heading,time] for photos that carry no position themselves."""
+    prune: bool = False
+    """Forget the photos of the folders given whose files are gone; without it they are only told."""
+    from_: Exported = None
+    """Take what `salad export` wrote, or another tool's .npy and table (name their model), in place of PHOTOS."""
+    device: str = "cpu"
+    """Where the model runs, as torch names it."""
+    batch_size: int = 16
+    """Photos the model takes at a time."""
+
+    def run(self) -> int:
+        """Index the photos."""
+        from salad.images.photo import PhotoTable, find_photos
+
+        if self.from_ is not None:
+            return self._take(self.from_)
+        from salad.models.model_folder import load
+
+        positive(self.batch_size, "--batch-size")
+        sources = list(shell.listed(self.photos))
+        paths = find_photos(sources)
+        table = PhotoTable.read(self.table) if self.table else None
+        model = load(self.model or model_of(self.to), device=self.device)
+        with opened(self.to, model) as index:
+            done = self._describe(paths, index, model, table)
+            gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])
+            held, placed = len(index), index.info().with_position
+        for sentence in (*done.twins, *done.unreadable, *gone):
+            shell.say(sentence)
+        shell.say(f"{self.to}: {done.added} photos added, {done.skipped} there already, "
+                  f"{len(done.unreadable)} unreadable; it holds {held}, {placed} with a position")  # fmt: skip
+        return shell.FOUND if done.added or done.skipped else shell.BAD_INPUT
+
+    def _describe(
+        self, paths: Sequence[Path], index: Index, model: Describes, table: PhotoTable | None
+    ) -> Indexed:
+        from salad.index.build import index_photos
+
+        far = 0
+        with shell.progress("indexing") as bar:
+
+            def report(done: int, total: int) -> None:
+                nonlocal far
+                far = done
+                bar(done, total)
+
+            report(0, len(paths))
+            try:
+                return index_photos(
+                    paths, index, model, table=table, batch_size=self.batch_size, progress=report
+                )
+            except KeyboardInterrupt:
+                shell.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
+                raise
+
+    def _vanished(self, index: Index, folders: Sequence[str]) -> list[str]:
+        """A sentence for each photo of these folders whose file is gone; forgotten where that is asked for."""
+        if not folders:
+            return []
+        gone = index.remove_missing(folders) if self.prune else index.missing(folders)
+        fate = "it was dropped" if self.prune else "--prune drops it from the index"
+        return shell.some([f"{path} is gone: {fate}" for path in gone], what="are gone")
+
+    def _take(self, folder: Path) -> int:
+        """Take in what `salad export` or another tool wrote."""
+        from salad.index.index import Index as Opened
+        from salad.index.transfer import model_of as source_of
+        from salad.index.transfer import take
+
+        if self.photos or self.table or self.prune:
+            raise SaladError(
+                "--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune"
+            )
+        made = not is_index(self.to)
+        if made:
+            source = source_of(folder, name=self.model)
+            Opened.create(self.to, dim=source.dim, fingerprint=source.fingerprint, model=source.model).close()
+        try:
+            with Opened.open(self.to) as index:
+                added, held = take(index, folder, model=self.model), len(index)
+        except SaladError:
+            with Opened.open(self.to) as index:
+                made = made and not len(index)
+            if made:
+                shutil.rmtree(self.to, ignore_errors=True)
+            raise
+        shell.say(f"{self.to}: {added} photos added from {folder}; it holds {held}")
+        return shell.FOUND if held else shell.NOTHING

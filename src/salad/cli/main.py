@@ -1,0 +1,86 @@
+"""The command line: `salad --help`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import tyro
+from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes
+
+from salad._version import __version__
+from salad.cli import (
+    compare,
+    datasets,
+    demo,
+    evaluate,
+    index,
+    locate,
+    maintain,
+    places,
+    shell,
+    train,
+    weights,
+)
+from salad.errors import SaladError
+
+COMMANDS: dict[str, Any] = {
+    "index": index.IndexCommand,
+    "locate": locate.LocateCommand,
+    "info": maintain.InfoCommand,
+    "verify": maintain.VerifyCommand,
+    "remove": maintain.RemoveCommand,
+    "compact": maintain.CompactCommand,
+    "export": maintain.ExportCommand,
+    "merge": maintain.MergeCommand,
+    "evaluate": evaluate.EvaluateCommand,
+    "datasets": datasets.DatasetsCommand,
+    "weights": weights.WeightsCommand,
+    "places": places.PlacesCommand,
+    "train": train.TrainCommand,
+    "compare": compare.CompareCommand,
+    "demo": demo.DemoCommand,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command and leave with its exit code: 0, 1 (nothing found), 2 (bad input)."""
+    shell.settle_streams()
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command; its exit code."""
+    if list(arguments) == ["--version"]:
+        shell.put(f"salad {__version__}")
+        return shell.FOUND
+    command = _parsed(list(arguments))
+    try:
+        code: int = command.run()
+    except SaladError as error:
+        shell.say(f"salad: {error}")
+        return shell.BAD_INPUT
+    except KeyboardInterrupt:
+        shell.say(
+            "salad: interrupted; index, train, compare and weights fetch go on where they stopped when run again"
+        )
+        return shell.INTERRUPTED
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return shell.FOUND
+    except OSError as error:  # a full disk, a folder that may not be read
+        shell.say(f"salad: {error}")
+        return shell.BAD_INPUT
+    return code
+
+
+def _parsed(arguments: list[str]) -> Any:
+    return tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
+        prog="salad",
+        description="A photo goes in; the place it shows comes out.",
+        args=arguments,
+        config=(OmitArgPrefixes, OmitSubcommandPrefixes),
+    )

@@ -1,0 +1,192 @@
+"""The commands that tend an index: `salad info`, `verify`, `remove`, `compact`, `export` and `merge`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
+
+from salad.cli import shell
+from salad.cli.arguments import Form, IndexFolder, Photos
+from salad.errors import PhotoError, StoreError
+
+Others = Annotated[
+    Positional[tuple[Path, ...]],
+    arg(metavar="OTHER", help="Indexes to take photos from.", help_behavior_hint="(one or more)"),
+]
+
+_MEGA = 1e6  # bytes in a megabyte, as disks count them
+
+
+@dataclass(frozen=True)
+class InfoCommand:
+    """Say what an index holds."""
+
+    index: IndexFolder
+    format: Form = "table"
+
+    def run(self) -> int:
+        """Tell."""
+        from salad.index.index import Index as Opened
+
+        with Opened.open(self.index) as index:
+            told = index.info().as_dict()
+        if self.format == "json":
+            shell.put_json(told)
+        else:
+            shell.facts(_for_people(told))
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class VerifyCommand:
+    """Read a whole index and say what is wrong with it, and which photos' files are gone."""
+
+    index: IndexFolder
+
+    def run(self) -> int:
+        """Check."""
+        from salad.index.index_folder import Header
+
+        Header.read(self.index)  # what is no index, or a later salad's, is not ours to judge
+        wrong, gone, held = _examined(self.index)
+        for sentence in wrong:
+            shell.put(sentence)
+        lost = [f"{path} is gone; its descriptor stays until it is removed" for path in gone]
+        for sentence in shell.some(lost, what="are gone"):
+            shell.say(sentence)
+        if not wrong:
+            shell.put(f"{self.index} is sound: {held} photos")
+        return shell.NOTHING if wrong else shell.FOUND
+
+
+@dataclass(frozen=True)
+class RemoveCommand:
+    """Forget photos of an index; their files are not touched and need not exist."""
+
+    photos: Photos
+    index: Path
+    """The index to forget them in."""
+
+    def run(self) -> int:
+        """Remove."""
+        from salad.index.index import Index as Opened
+
+        paths = list(shell.listed(self.photos))
+        if not paths:
+            raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
+        with Opened.open(self.index) as index:
+            removed = index.remove(paths)
+        shell.say(f"{self.index}: {removed} photos removed")
+        return shell.FOUND if removed else shell.NOTHING
+
+
+@dataclass(frozen=True)
+class CompactCommand:
+    """Give back the room of removed photos; photos with damaged descriptors are let go and named."""
+
+    index: IndexFolder
+
+    def run(self) -> int:
+        """Compact."""
+        from salad.index.index import Index as Opened
+
+        with Opened.open(self.index) as index:
+            done = index.compact()
+        for path in done.damaged:
+            shell.say(f"{path} had a damaged descriptor and is no longer in the index: index it again")
+        shell.say(f"{self.index}: {done.freed / _MEGA:.1f} MB given back; it holds {done.kept} photos")
+        return shell.FOUND
+
+
+@dataclass(frozen=True)
+class ExportCommand:
+    """Write an index's descriptors (.npy) and photos for other tools; `salad index --from` takes them back."""
+
+    index: IndexFolder
+    to: Path
+    """The folder to write; it must not exist or be empty."""
+    format: Literal["csv", "parquet", "geojson"] = "csv"
+    """Of the table of photos."""
+    dtype: Literal["float16", "float32"] = "float16"
+    """Of the descriptors; as float32 they are the same numbers in twice the room."""
+
+    def run(self) -> int:
+        """Export."""
+        from salad.index.index import Index as Opened
+        from salad.index.transfer import export
+
+        with Opened.open(self.index) as index:
+            done = export(index, self.to, form=self.format, dtype=self.dtype)
+        _say_damaged(done.damaged)
+        shell.say(f"{self.to}: {done.photos} photos written")
+        return shell.FOUND if done.photos else shell.NOTHING
+
+
+@dataclass(frozen=True)
+class MergeCommand:
+    """Take the photos of other indexes of the same model into one; a photo they share is held once."""
+
+    index: IndexFolder
+    others: Others
+
+    def run(self) -> int:
+        """Merge."""
+        from salad.index.index import Index as Opened
+
+        if not self.others:
+            raise StoreError("no other index is named: say which indexes to take photos from")
+        with Opened.open(self.index) as into:
+            for folder in self.others:
+                _merge_one(into, folder)
+            shell.say(f"{self.index}: it holds {len(into)} photos")
+        return shell.FOUND
+
+
+def _merge_one(into: Any, folder: Path) -> None:
+    from salad.index.index import Index as Opened
+    from salad.index.transfer import merge
+
+    with Opened.open(folder) as other:
+        done = merge(into, other)
+    for path in done.other:
+        shell.say(f"{path} was left out of {folder}: {into.folder} has another photo at that path")
+    _say_damaged(done.damaged)
+    shell.say(f"{folder}: {done.added} photos added, {done.held} there already")
+
+
+def _say_damaged(paths: Sequence[Path]) -> None:
+    for path in paths:
+        shell.say(f"{path} was left out, since its descriptor is damaged: index it again")
+
+
+def _examined(folder: Path) -> tuple[list[str], list[Path], int]:
+    """What is wrong with an index, the photos whose files are gone, and how many photos there are."""
+    from salad.index.index import Index as Opened
+
+    wrong: list[str] = []
+    try:
+        with Opened.open(folder) as index:
+            wrong += index.verify()
+            return wrong, index.missing(), len(index)
+    except StoreError as error:  # that it cannot be opened, or listed, is what was asked for
+        sentence = str(error)
+        return wrong + [sentence] * (sentence not in wrong), [], 0
+
+
+def _for_people(told: dict[str, Any]) -> dict[str, Any]:
+    """The facts with their units in their names."""
+    names = {
+        "box": "south, west, north, east",
+        "span_km": "km from south to north, west to east",
+        "bytes": "MB",
+        "bytes_of_descriptors": "MB of descriptors",
+    }
+    return {names.get(name, name): _in_units(name, value) for name, value in told.items()}
+
+
+def _in_units(name: str, value: Any) -> Any:
+    return round(value / _MEGA, 3) if name.startswith("bytes") else value

@@ -1,0 +1,146 @@
+"""`salad places`: from photos that know where they were taken to places that a model can learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+
+from salad.cli import shell
+from salad.cli.arguments import Form, Photos, Table
+from salad.errors import SaladError
+
+if TYPE_CHECKING:
+    from salad.datasets.cluster import Found, Reason
+    from salad.images.photo import Photo, PhotoTable
+
+
+Metres = Annotated[float, arg(metavar="METRES")]
+Degrees = Annotated[float, arg(metavar="DEGREES")]
+Count = Annotated[int, arg(metavar="N")]
+
+_ADVICE: dict[Reason, str] = {
+    "no position": "Name a table that has their positions with --table.",
+    "unreadable": "Fetch them again, or save them as JPEG.",
+    "too few in their cell": "Take larger cells (--cell), a wider --turn, or fewer photos of each (--fewest).",
+    "too near another place": "Let places stand closer (--apart).",
+}
+
+
+@dataclass(frozen=True)
+class PlacesCommand:
+    """Find the places that geotagged photos show, several photos of each, and write a table for `salad train`."""
+
+    photos: Photos
+    to: Path
+    """The table to write: a CSV with path,place,city,lat,lon,heading,time."""
+    table: Table = None
+    """A CSV or Parquet table path,lat,lon[,heading,time] for photos that carry no position themselves."""
+    cell: Metres = 10.0
+    """Side of the squares that photos of one place lie in."""
+    turn: Degrees = 45.0
+    """Part of the compass that counts as looking the same way; 360 for no matter."""
+    fewest: Count = 4
+    """Photos of a place, at least."""
+    apart: Metres = 100.0
+    """Between two places, at least; 0 keeps all, for training with one-city or clique batches."""
+    check: bool = True
+    """Open each photo that would be used, and leave out what cannot be read."""
+    format: Form = "table"
+
+    def run(self) -> int:
+        """Find the places."""
+        from salad.datasets.cluster import find_cells
+        from salad.datasets.places import write_places
+
+        self._check_target()
+        found = find_cells(
+            self._known(),
+            side_m=self.cell,
+            turn=self.turn,
+            fewest=self.fewest,
+            apart_m=self.apart,
+            unreadable=_unreadable if self.check else None,
+        )
+        if found.places:
+            write_places(found.places, self.to)
+        self._tell(found)
+        return shell.FOUND if found.places else shell.NOTHING
+
+    def _known(self) -> list[Photo]:
+        """All photos with where, which way and when they were taken."""
+        from salad.datasets.readers.gsv_cities import is_gsv_cities
+        from salad.images.photo import PhotoTable, find_photos, read_photo
+        from salad.images.workers import in_order, workers
+
+        names = list(shell.listed(self.photos))
+        known = next((name for name in names if is_gsv_cities(Path(name))), None)
+        if known and not self.table:
+            raise SaladError(
+                f"{known} is laid out like GSV-Cities, so its places are known: train on it as it is with "
+                f"`salad train --data {known}`, or name a table of positions with --table to find others"
+            )
+        paths = find_photos(names)
+        table: PhotoTable | None = PhotoTable.read(self.table) if self.table else None
+        photos: list[Photo] = []
+        with workers() as pool, shell.progress("looking") as bar:
+            for photo in in_order(pool, lambda path: read_photo(path, table), paths, ahead=64):
+                photos.append(photo)
+                bar(len(photos), len(paths))
+        return photos
+
+    def _check_target(self) -> None:
+        if self.to.is_dir() or not self.to.parent.is_dir():
+            raise SaladError(f"--to {self.to} cannot be written: name a file in a folder that is there")
+
+    def _tell(self, found: Found) -> None:
+        for sentence in shell.some(found.trouble, what="cannot be read"):
+            shell.say(sentence)
+        told = found.as_dict()
+        if self.format == "json":
+            shell.put_json({"table": str(self.to) if found.places else None} | told)
+            return
+        rows = _rows(told)
+        wide = max(len(name) for name, _ in rows)
+        for name, value in rows:
+            shell.say(f"{name:<{wide}}  {value}")
+        if found.places:
+            shell.put(str(self.to))
+            return
+        most = max(found.left_out, key=lambda reason: len(found.left_out[reason]))
+        shell.say(f"no place was found, so nothing is written; most photos: {most}. {_ADVICE[most]}")
+
+
+def _rows(told: dict[str, Any]) -> list[tuple[str, Any]]:
+    """The report as names and values, for people."""
+    plain = [(name, value) for name, value in told.items() if name != "left_out"]
+    return plain + [(f"left out, {reason}", count) for reason, count in told["left_out"].items() if count]
+
+
+def _unreadable(paths: Sequence[Path]) -> dict[Path, str]:
+    """A sentence for each photo whose pixels cannot be read."""
+    from salad.images.workers import in_order, reader_for, workers
+
+    trouble: dict[Path, str] = {}
+    with workers() as pool, reader_for(len(paths)) as reader, shell.progress("checking") as bar:
+
+        def tried(path: Path) -> str:
+            try:
+                reader.decode(path, _SMALL, _SMALL, "bilinear")
+            except SaladError as error:
+                return str(error)
+            return ""
+
+        for done, (path, sentence) in enumerate(
+            zip(paths, in_order(pool, tried, paths, ahead=64), strict=True), start=1
+        ):
+            if sentence:
+                trouble[path] = sentence
+            bar(done, len(paths))
+    return trouble
+
+
+_SMALL = 64  # pixels: enough to decode all of a file, quickly

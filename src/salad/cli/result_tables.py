@@ -1,0 +1,135 @@
+"""Results as people read them: one result's figures with how sure they are, two results side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from salad.cli import shell
+from salad.cli.arguments import Form
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from salad.evaluation.bootstrap import Interval
+    from salad.evaluation.result import Result
+    from salad.evaluation.significance import Difference
+
+
+_TOGETHER = {"query": "each query by itself", "group": "groups of queries", "block": "stretches of the drive"}
+
+
+def facts(result: Result) -> dict[str, Any]:
+    """What a reader must know before the figures."""
+    rule = "left out" if result.unanswerable_rule == "drop" else "count as misses"
+    told: dict[str, Any] = {
+        "set": result.benchmark,
+        "protocol": result.protocol,
+        "queries": result.queries,
+        "references": result.references,
+        "unanswerable": f"{result.unanswerable}, {rule}" if result.unanswerable else "0",
+        "model": result.model,
+        "seconds": f"{result.seconds:.1f}",
+    }
+    if result.leaks is not None:
+        told["in_both_sides"] = len(result.leaks)
+    return told
+
+
+def figures(result: Result) -> Table:
+    """One line a figure, with the interval the truth lies in 95 times in 100."""
+    from rich.table import Table
+
+    drawn = result.drawn
+    together = _TOGETHER.get(str(drawn.get("by")), "")
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    table.add_column("", justify="right", no_wrap=True)
+    table.add_column(f"95 % ({drawn.get('units')}: {together})", justify="right", no_wrap=True)
+    for name, figure, interval in _rows(result):
+        table.add_row(name, figure, interval)
+    return table
+
+
+def _rows(result: Result) -> list[tuple[str, str, str]]:
+    rows = [
+        (f"R@{k}", f"{percent:.1f} %", _range(result.intervals[k])) for k, percent in result.recall.items()
+    ]
+    if (curve := result.precision_recall) is not None:
+        rows += [
+            ("area under precision-recall", f"{curve.area:.1f} %", _range(curve.area_interval)),
+            (
+                "recall at 100 % precision",
+                f"{curve.recall_at_full_precision:.1f} %",
+                _range(curve.full_interval),
+            ),
+        ]
+    if (far := result.distances) is not None:
+        rows.append(("median error", f"{far.median:.1f} m", _range(far.median_interval)))
+        rows += [
+            (f"within {metres} m", f"{share:.1f} %", _range(far.within_intervals[metres]))
+            for metres, share in far.within.items()
+        ]
+    return rows
+
+
+def _range(interval: Interval) -> str:
+    return f"{interval.low:.1f} to {interval.high:.1f}"
+
+
+def leaks_told(result: Result) -> list[str]:
+    """A sentence for each photo that is in both sides, the first of many."""
+    told = [
+        f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}" for leak in result.leaks or ()
+    ]
+    return shell.some(told, what="photos that are in both sides")
+
+
+def compare_results(first: Path, other: Path, *, form: Form = "table", seed: int = 0) -> int:
+    """Say how two results of `salad evaluate --save` differ, and whether that is more than chance.
+
+    Args:
+        first: one result's file.
+        other: the other's; what it got more right counts up.
+        form: for people or for programs.
+        seed: of the draws.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        BenchmarkError: a file is no result, or they are not of one set under one protocol.
+    """
+    from salad.evaluation.result import read_result
+    from salad.evaluation.significance import differences
+
+    one, two = read_result(first), read_result(other)
+    found = differences(one, two, seed=seed)
+    if form == "json":
+        told = {"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model}
+        shell.put_json(told | {"recall": {str(each.k): each.as_dict() for each in found}})
+        return shell.FOUND
+    shell.facts({"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model})
+    shell.put_table(_side_by_side(found))
+    for name, queries in (("won", found[0].won), ("lost", found[0].lost)):
+        for line in shell.some([f"{name}: {query}" for query in queries], what=f"queries {name}"):
+            shell.put(line)
+    return shell.FOUND
+
+
+def _side_by_side(found: Sequence[Difference]) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    for head in ("first", "other", "points", "95 %", "won", "lost", "by chance"):
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("real")
+    for one in found:
+        table.add_row(
+            *(f"R@{one.k}", f"{one.first:.1f} %", f"{one.other:.1f} %", f"{one.points:+.1f}"),
+            *(f"{one.interval.low:+.1f} to {one.interval.high:+.1f}", str(len(one.won)), str(len(one.lost))),
+            *(f"{one.chance:.3f}", "yes" if one.real else "no"),
+        )
+    return table

@@ -1,0 +1,241 @@
+"""The command that teaches: `salad train`."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
+
+from salad.cli import shell
+from salad.cli.arguments import SHIPPED, File, Metres, Number, Share, Table, positive
+from salad.cli.evaluate import benchmark_of
+from salad.errors import BenchmarkError, SaladError
+
+if TYPE_CHECKING:
+    from salad.datasets.training_place import TrainingPlace
+    from salad.models.describer import Describer
+    from salad.training.recipe import Preset
+    from salad.training.validation import Judge
+
+
+Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+Rate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
+Augment = Annotated[
+    Literal["lite", "paper", "robust", "none"] | None, arg(help_behavior_hint="", metavar="NAME")
+]
+Sampling = Annotated[
+    Literal["mixed", "one-city", "cliques"] | None, arg(help_behavior_hint="", metavar="NAME")
+]
+Precision = Annotated[
+    Literal["bf16-mixed", "16-mixed", "32-true"] | None, arg(help_behavior_hint="", metavar="NAME")
+]
+
+
+@dataclass(frozen=True)
+class TrainCommand:
+    """Train a model and write it to TO/model; a run that was interrupted goes on where it stopped.
+
+    What is not given is the preset's. The best weights by the places held out, or by a benchmark of your own, are
+    kept in TO/model, the last ones in TO/last.
+    """
+
+    data: Annotated[Path | None, arg(metavar="DIR|CSV", help_behavior_hint="")] = None
+    """GSV-Cities, a table of `salad places`, a folder of folders (one a place), or a folder of such sets."""
+    to: Folder = None
+    """The run's folder."""
+    preset: str = SHIPPED
+    """What to train: paper, small, head, salad-lite, salad-lite-route, salad-vits or salad-vits-whole."""
+    start: File = None
+    """Other weights to start from: a backbone's file, a name of the zoo, or a model's folder to go on with."""
+    resume: bool = False
+    """Insist on a run in TO that has not ended."""
+    dry_run: bool = False
+    """Say what would be trained, for how long and in how much memory; write nothing."""
+    steps: Number = None
+    """Steps in all, shared between the preset's two stages as it shares them."""
+    head_steps: Number = None
+    """Steps with the backbone frozen."""
+    tune_steps: Number = None
+    """Steps with the backbone's last blocks trained too."""
+    epochs: Number = None
+    """In place of --tune-steps, times through all places; for --sampler one-city."""
+    tuned_blocks: Number = None
+    """The last blocks of the backbone, trained in the second stage."""
+    tuned_share: Share = None
+    """How far to go from the first stage's weights to the second's: 1 for all the way."""
+    places: Number = None
+    """Places in a batch."""
+    views: Number = None
+    """Photos of each."""
+    at_once: Number = None
+    """Photos through the model at once: a large batch in the memory of a small one."""
+    size: Number = None
+    """Side in pixels of the squares trained on."""
+    full_steps: Number = None
+    """With --size, so many of the last steps at the size in use."""
+    head_rate: Rate = None
+    """Learning rate of the aggregator."""
+    trunk_rate: Rate = None
+    """Learning rate of the backbone."""
+    weight_decay: Rate = None
+    """AdamW's."""
+    warmup: Number = None
+    """Steps over which a stage's rates rise."""
+    last: Share = None
+    """Share of the rates left at a stage's end."""
+    decay_over: Number = None
+    """Steps over which they fall, where not over the whole stage."""
+    average: Share = None
+    """Decay of the running mean of the weights, which is what is measured and kept; 0 for none."""
+    clip: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="")] = None
+    """Longest gradient of a step."""
+    augment: Augment = None
+    """How photos are changed: lite, paper, robust or none."""
+    mirror: Annotated[bool | None, arg(metavar="True|False", help_behavior_hint="")] = None
+    """Whether half of the places are mirrored; a mirrored place is another place."""
+    sampler: Sampling = None
+    """How batches are drawn: mixed, one-city or cliques."""
+    mine_every: Number = None
+    """With --sampler cliques, steps between two searches for places that look alike."""
+    clique: Number = None
+    """With --sampler cliques, places in a clique."""
+    cache_versions: Number = None
+    """With a frozen backbone, versions of each photo whose tokens are kept on disk."""
+    tokens: Folder = None
+    """Where they are kept; several runs may share it. In TO by default."""
+    held_out: Share = None
+    """Share of the places to choose by."""
+    measure_every: Number = None
+    """Steps between two measurements."""
+    save_every: Number = None
+    """Steps between two checkpoints."""
+    seed: Number = None
+    """Of everything random."""
+    split_seed: Number = None
+    """Of which places are held out, where not --seed: the same for runs to be compared, averaged or gone on with."""
+    references: Folder = None
+    """Choose by a benchmark: its photos whose places are known."""
+    queries: Folder = None
+    """Its photos to recognise."""
+    truth: Table = None
+    """Its CSV query,positives: names within the two folders, positives separated by semicolons."""
+    frames: Number = None
+    """Right within so many frames, by the last whole number in a photo's name."""
+    radius: Metres = None
+    """Right within so many metres, by geotag."""
+    accelerator: str = "auto"
+    """auto, cpu, gpu or mps."""
+    devices: int = 1
+    """Devices of this machine; each takes a share of every batch."""
+    nodes: int = 1
+    """Machines; start the same command on each."""
+    precision: Precision = None
+    """How numbers are held: bf16-mixed, 16-mixed (older graphics cards) or 32-true."""
+    board: bool = False
+    """Draw curves for TensorBoard into TO/board."""
+
+    def run(self) -> int:
+        """Train."""
+        chosen = self._preset()
+        positive(self.devices, "devices")
+        positive(self.nodes, "nodes")
+        judge = self._judge()
+        if self.dry_run:
+            return self._tell(chosen)
+        data, to = self._required(self.data, "data"), self._required(self.to, "to")
+        from salad.training.devices import first_process
+        from salad.training.trainer import train
+
+        with shell.progress("training") if first_process() else nullcontext() as bar:
+            made = train(
+                chosen,
+                self._places(data),
+                to=to,
+                start=self.start,
+                accelerator=self.accelerator,
+                devices=self.devices,
+                nodes=self.nodes,
+                judge=judge,
+                resume=self.resume,
+                board=self.board,
+                tokens=self.tokens,
+                progress=bar,
+                say=shell.say,
+            )
+        if first_process():
+            shell.put(str(made))
+        return shell.FOUND
+
+    def _tell(self, chosen: Preset) -> int:
+        from salad.training.dry_run import plan
+
+        told = plan(
+            chosen,
+            None if self.data is None else self._places(self.data),
+            start=self.start,
+            accelerator=self.accelerator,
+            devices=self.devices,
+            nodes=self.nodes,
+        )
+        shell.facts({"preset": self.preset, **told})
+        shell.say("nothing was written: leave --dry-run out to train")
+        return shell.FOUND
+
+    def _places(self, data: Path) -> list[TrainingPlace]:
+        from salad.datasets.places import find_places
+        from salad.training.devices import first_process
+
+        return find_places(data, say=shell.say if first_process() else lambda _: None)
+
+    def _preset(self) -> Preset:
+        """The preset with what was given in place of its own settings."""
+        from dataclasses import replace
+
+        from salad.training.recipe import Recipe, preset
+
+        chosen = preset(self.preset)
+        recipe = chosen.recipe if self.steps is None else chosen.recipe.of_steps(self.steps)
+        mine = {field.name for field in fields(self)}
+        names = [field.name for field in fields(Recipe) if field.name in mine]
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if self.steps is not None and given.keys() & {"head_steps", "tune_steps", "epochs"}:
+            raise SaladError(
+                "--steps counts both stages: give it, or --head-steps, --tune-steps and --epochs"
+            )
+        if "tune_steps" in given and "epochs" not in given:
+            given["epochs"] = None
+        return replace(chosen, recipe=replace(recipe, **given))
+
+    def _judge(self) -> Judge | None:
+        """Recall@1 on a benchmark, where one is named."""
+        if self.references is None and self.queries is None:
+            if (self.truth, self.frames, self.radius) != (None, None, None):
+                raise BenchmarkError(
+                    "--truth, --frames and --radius say what is right in a benchmark: name its folders with "
+                    "--references and --queries"
+                )
+            return None
+        references = self._required(self.references, "references")
+        benchmark = benchmark_of(
+            references,
+            self._required(self.queries, "queries"),
+            truth=self.truth,
+            frames=self.frames,
+            radius=self.radius,
+        )
+
+        def judge(model: Describer) -> dict[str, float]:
+            from salad.evaluation.evaluate import evaluate
+
+            recall = evaluate(benchmark, model).recall
+            return {**{f"R@{k}": percent for k, percent in recall.items()}, "mean": recall[1]}
+
+        return judge
+
+    def _required(self, given: Path | None, name: str) -> Path:
+        if given is None:
+            raise SaladError(f"--{name} is missing: name the folder (salad train --help says which)")
+        return given

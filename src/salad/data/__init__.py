@@ -1,1 +1,0 @@
-"""Photos with known places: benchmarks, training places, and a drawn town."""

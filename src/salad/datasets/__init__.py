@@ -1,0 +1,1 @@
+"""Photos with known places: benchmarks to judge by, places to learn from."""

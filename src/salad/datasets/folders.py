@@ -1,0 +1,125 @@
+"""Folders of photos, listed once each: no photo is looked at by itself."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from salad.errors import BenchmarkError
+from salad.images.photo import SUFFIXES, find_photos
+
+SIDES = (  # what people call the folders of references and of queries
+    ("database", "queries"),
+    ("references", "queries"),
+    ("refs", "queries"),
+    ("ref", "query"),
+    ("reference", "query"),
+    ("gallery", "queries"),
+    ("index", "query"),
+)
+
+
+def names_below(folder: Path) -> list[str]:
+    """The photos below a folder, as paths below it with `/`, in order; hidden ones are left out.
+
+    Raises:
+        BenchmarkError: the folder cannot be read or holds no photo.
+    """
+    names: list[str] = []
+    seen: set[str] = set()
+    waiting = [""]
+    while waiting:
+        below = waiting.pop()
+        real = os.path.realpath(folder / below)
+        if real not in seen:  # a link may lead in a circle
+            seen.add(real)
+            waiting += _listed(folder, below, names)
+    if not names:
+        raise BenchmarkError(f"{folder} holds no photos: none of its files ends in .jpg, .png or the like")
+    return sorted(names)
+
+
+def _listed(folder: Path, below: str, names: list[str]) -> list[str]:
+    """Add a folder's photos to the names; the folders in it."""
+    inner: list[str] = []
+    try:
+        with os.scandir(folder / below) as entries:
+            for entry in entries:
+                if entry.name.startswith("."):
+                    continue
+                if os.path.splitext(entry.name)[1].lower() in SUFFIXES:  # noqa: PTH122  # a Path for each is slow
+                    names.append(below + entry.name)
+                elif entry.is_dir():
+                    inner.append(f"{below}{entry.name}/")
+    except OSError as error:
+        raise BenchmarkError(
+            f"the folder {error.filename} cannot be read ({error.strerror}): name another, or mend its rights"
+        ) from error
+    return inner
+
+
+def two_folders(references: Path, queries: Path) -> tuple[list[Path], list[Path]]:
+    """List both folders' photos; a photo in both would find itself and lift every figure.
+
+    Raises:
+        BenchmarkError: a photo is in both.
+        PhotoError: a folder is missing or holds no photo.
+    """
+    reference_paths, query_paths = find_photos([references]), find_photos([queries])
+    both = _real(reference_paths) & _real(query_paths)
+    if both:
+        raise BenchmarkError(
+            f"{len(both)} photos are references and queries at once, the first {min(both)}: "
+            "give two folders that share no photo"
+        )
+    return reference_paths, query_paths
+
+
+def _real(paths: Iterable[Path]) -> set[str]:
+    """Where photos really lie: folders are followed once each, and only links among the photos one by one."""
+    folders: dict[str, tuple[str, frozenset[str]]] = {}
+    real: set[str] = set()
+    for path in paths:
+        parent, name = os.path.split(path)
+        if parent not in folders:
+            folders[parent] = os.path.realpath(parent), _links(parent)
+        home, links = folders[parent]
+        real.add(os.path.realpath(path) if name in links else os.path.join(home, name))  # noqa: PTH118  # plain strings
+    return real
+
+
+def _links(folder: str) -> frozenset[str]:
+    with os.scandir(folder or ".") as entries:
+        return frozenset(entry.name for entry in entries if entry.is_symlink())
+
+
+def frame(name: str) -> int:
+    """The last whole number in a photo's name, its suffix left aside.
+
+    Raises:
+        BenchmarkError: there is none.
+    """
+    numbers = re.findall(r"[0-9]+", Path(name).stem)
+    if not numbers:
+        raise BenchmarkError(f"{name} has no number in its name to tell its frame: rename it or leave it out")
+    return int(numbers[-1])
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Names by the last number in each where all have one, which `9.jpg` and `10.jpg` need; else by name."""
+    if all(re.search(r"[0-9]", Path(name).stem) for name in names):
+        return sorted(names, key=lambda name: (frame(name), name))
+    return sorted(names)
+
+
+def sides_in(
+    root: Path, pairs: Sequence[tuple[str, str]] = SIDES, *, inside: Sequence[str] = ("",)
+) -> tuple[Path, Path] | None:
+    """The first folders of references and of queries that are there, looked for below `root` and each of `inside`."""
+    for below in inside:
+        for references, queries in pairs:
+            if (root / below / references).is_dir() and (root / below / queries).is_dir():
+                return root / below / references, root / below / queries
+    return None

@@ -1,0 +1,147 @@
+"""GSV-Cities as an evaluation set: of each place the newest photo is a query, the others are its references.
+
+Only the tables and one listing of each city's folder are read.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from salad.datasets.compact_lists import PhotoList, Ragged
+from salad.datasets.readers.base import Layout, Protocol, Sides
+from salad.datasets.training_place import FEWEST, Listing, Say, TrainingPlace, tell_missing
+from salad.errors import BenchmarkError, PositionError
+from salad.geo import GeoPoint, centre
+
+# --- GSV-Cities on disk: a table a city, its photos beside it, some 530,000 of them in 62,000 places ---
+#
+# Dataframes/<City>.csv    place_id,year,month,northdeg,city_id,lat,lon,panoid
+# Images/<City>/           <city_id>_<place_id>_<year>_<month>_<northdeg>_<lat>_<lon>_<panoid>.jpg
+#
+# Only the tables and one listing of each city's folder are read; no photo is opened or looked at.
+#
+# Source: Ali-bey et al., "GSV-Cities: Toward appropriate supervised visual place recognition", Neurocomputing 2022.
+
+
+TABLES, PHOTOS = "Dataframes", "Images"
+
+
+class _Row(NamedTuple):
+    """One line of a table; by year and month, then by name, rows stand oldest first."""
+
+    month: str
+    name: str
+    place: str
+    where: GeoPoint
+
+
+def is_gsv_cities(root: Path) -> bool:
+    """Whether a folder is laid out like GSV-Cities."""
+    return (root / TABLES).is_dir()
+
+
+def read_gsv_cities(root: Path, *, say: Say | None = None) -> list[TrainingPlace]:
+    """Every place of every city with at least `FEWEST` photos, cities in order of name.
+
+    Args:
+        root: the folder that holds `Dataframes` and `Images`.
+        say: takes a sentence for each city that lacks photos its table names, which are then left out.
+
+    Raises:
+        BenchmarkError: a line of a table cannot be read; or, without `say`, a photo is missing.
+    """
+    tables = sorted((root / TABLES).glob("*.csv"))
+    return [place for table in tables for place in _city(root, table, say)]
+
+
+def _city(root: Path, table: Path, say: Say | None) -> Iterator[TrainingPlace]:
+    folder = root / PHOTOS / table.stem
+    there = Listing().names(folder)
+    taken: dict[str, list[_Row]] = defaultdict(list)
+    missing: list[Path] = []
+    for row in _rows(table):
+        found = next((name for name in (f"{row.name}.jpg", f"{row.name}.JPG") if name in there), None)
+        if found is None:
+            missing.append(folder / f"{row.name}.jpg")
+        else:
+            taken[row.place].append(row._replace(name=found))
+    tell_missing(table, missing, say)
+    for name, rows in taken.items():
+        if len(rows) >= FEWEST:
+            photos = tuple(folder / row.name for row in sorted(rows, key=lambda row: row[:2]))
+            where = centre([row.where for row in rows])
+            yield TrainingPlace(name, f"{root.name}/{table.stem}", photos, where)
+
+
+def _rows(table: Path) -> Iterator[_Row]:
+    with table.open(newline="", encoding="utf-8-sig") as file:
+        lines = csv.DictReader(file)
+        while True:
+            try:
+                yield _row(next(lines))
+            except StopIteration:
+                return
+            except (KeyError, TypeError, ValueError, csv.Error, PositionError) as error:
+                number = lines.line_num or 1
+                raise BenchmarkError(f"{table}, line {number}: cannot be read ({error!r})") from error
+
+
+def _row(fields: dict[str, str]) -> _Row:
+    month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
+    # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
+    lat, lon = fields["lat"], fields["lon"]
+    name = (
+        f"{fields['city_id']}_{int(fields['place_id']):07d}_{month}_{int(fields['northdeg']):03d}_"
+        f"{lat}_{lon}_{fields['panoid']}"
+    )
+    return _Row(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
+
+
+def looked_for(_: Protocol) -> list[str]:
+    """What is looked for."""
+    return ["Dataframes/<City>.csv and Images/<City>/"]
+
+
+def find(root: Path, _: Protocol) -> Path | None:
+    """The folder of tables."""
+    return root / "Dataframes" if is_gsv_cities(root) else None
+
+
+def read(root: Path, _: Protocol) -> Sides:
+    """Both sides.
+
+    Raises:
+        BenchmarkError: a table cannot be read or holds no place of four photos.
+    """
+    notes: list[str] = []
+    places = read_gsv_cities(root, say=notes.append)
+    if not places:
+        raise BenchmarkError(
+            f"{root} holds no place of four photos: fetch its Images, or name another folder"
+        )
+    theirs = [(place, photo) for place in places for photo in place.photos[:-1]]
+    counts = np.array([len(place.photos) - 1 for place in places], dtype=np.int64)
+    ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return Sides(
+        _photos(root, theirs),
+        _photos(root, [(place, place.photos[-1]) for place in places]),
+        positives=Ragged(np.arange(ends[-1], dtype=np.int64), ends),
+        groups=tuple(f"{place.city}/{place.name}" for place in places),
+        told_by="Dataframes",
+        notes=tuple(notes),
+    )
+
+
+def _photos(root: Path, photos: list[tuple[TrainingPlace, Path]]) -> PhotoList:
+    where = [place.where for place, _ in photos]
+    known = np.array([(point.lat, point.lon) if point else (np.nan, np.nan) for point in where])
+    return PhotoList(root, (str(photo.relative_to(root)) for _, photo in photos), where=known)
+
+
+LAYOUT = Layout("GSV-Cities", "Dataframes/<City>.csv beside Images/<City>/", looked_for, find, read)

@@ -1,0 +1,206 @@
+"""Mapillary Street-Level Sequences as it is published: tables beside the photos of each city.
+
+    train_val/<city>/{query,database}/images/<key>.jpg, raw.csv, postprocessed.csv, seq_info.csv, subtask_index.csv
+
+The rows of a folder's tables belong together in their order. Panoramas are left out. Distances are measured on the map
+of each city, and no photo is opened.
+
+Source: Warburg et al., "Mapillary Street-Level Sequences: A Dataset for Lifelong Place Recognition", CVPR 2020.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from salad.datasets.compact_lists import PhotoList
+from salad.datasets.neighbours import Spots
+from salad.datasets.readers.base import Layout, Protocol, Sides, spots_of
+from salad.datasets.readers.utm_grid import on_earth
+from salad.errors import BenchmarkError
+
+# --- Columns out of a CSV table, each cell still a text; every fault names the table and its line ---
+
+
+_TRUTHS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False, "": False}
+
+
+def columns(table: Path, names: Sequence[str]) -> dict[str, list[str]]:
+    """The named columns; others, such as an unnamed first one, are left aside.
+
+    Raises:
+        BenchmarkError: the table cannot be read, lacks a column, or a line is too short.
+    """
+    found: dict[str, list[str]] = {name: [] for name in names}
+    try:
+        with table.open(encoding="utf-8-sig", newline="") as file:
+            lines = csv.DictReader(file, strict=True)
+            missing = [name for name in names if name not in (lines.fieldnames or ())]
+            if missing:
+                raise BenchmarkError(f"{table} lacks the column {missing[0]!r}: fetch the table again")
+            for line in lines:
+                for name, cells in found.items():
+                    if line[name] is None:
+                        raise BenchmarkError(f"{table}, line {lines.line_num}: it ends before {name!r}")
+                    cells.append(line[name].strip())
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BenchmarkError(f"the table {table} cannot be read ({error}): fetch it again") from error
+    return found
+
+
+def numbers(table: Path, name: str, cells: Sequence[str]) -> Float64[np.ndarray, " n"]:
+    """A column of finite numbers.
+
+    Raises:
+        BenchmarkError: a cell is none; named by its row.
+    """
+    read = np.array([_number(cell) for cell in cells], dtype=np.float64)
+    wrong = np.flatnonzero(~np.isfinite(read))
+    if wrong.size:
+        row = int(wrong[0])
+        raise BenchmarkError(
+            f"{table}, row {row + 1}: {name} {cells[row][:40]!r} is no number: fetch it again"
+        )
+    return read
+
+
+def truths(table: Path, name: str, cells: Sequence[str]) -> Bool[np.ndarray, " n"]:
+    """A column of `True` and `False`.
+
+    Raises:
+        BenchmarkError: a cell is neither; named by its row.
+    """
+    for row, cell in enumerate(cells, 1):
+        if cell.lower() not in _TRUTHS:
+            raise BenchmarkError(f"{table}, row {row}: {name} {cell[:40]!r} is neither True nor False")
+    return np.array([_TRUTHS[cell.lower()] for cell in cells], dtype=np.bool_)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+CITIES = {"val": ("cph", "sf")}
+TABLES = ("raw.csv", "postprocessed.csv", "seq_info.csv", "subtask_index.csv")
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The photos of one side of one city that count."""
+
+    names: list[str]
+    grid: Float64[np.ndarray, "n 2"]
+    degrees: Float64[np.ndarray, "n 2"]
+    sequences: list[str]
+    panoramas: int
+
+
+def looked_for(protocol: Protocol) -> list[str]:
+    """What is looked for."""
+    return [
+        f"train_val/{city}/{{query,database}}/{{{','.join(TABLES)}}}"
+        for city in CITIES.get(protocol.split, ())
+    ]
+
+
+def find(root: Path, protocol: Protocol) -> Path | None:
+    """The folder of cities, where one of the protocol's is there."""
+    for base in (root / "train_val", root):
+        if any((base / city / "database" / TABLES[1]).is_file() for city in CITIES.get(protocol.split, ())):
+            return base
+    return None
+
+
+def read(root: Path, protocol: Protocol) -> Sides:
+    """Both sides, all of the protocol's cities one after the other.
+
+    Raises:
+        BenchmarkError: a city or a table is missing, a table cannot be read, or its tables do not fit together.
+    """
+    base = find(root, protocol)
+    assert base is not None
+    cities = CITIES[protocol.split]
+    theirs, ours = (
+        [_part(base, f"{city}/{side}", protocol.subset) for city in cities] for side in ("database", "query")
+    )
+    zones = [_zone(part.degrees) for part in theirs]
+    panoramas = sum(part.panoramas for part in (*theirs, *ours))
+    (references, their_spots), (queries, our_spots) = (_side(base, parts, zones) for parts in (theirs, ours))
+    return Sides(
+        references,
+        queries,
+        spots=(our_spots, their_spots),
+        groups=tuple(name for part in ours for name in part.sequences),
+        notes=(f"{panoramas} panoramas were left out",) if panoramas else (),
+    )
+
+
+def _part(base: Path, side: str, subset: str) -> _Part:
+    """The photos of `<city>/<side>` that are no panoramas, and of the subset where there is one."""
+    folder = base / side
+    missing = [table for table in TABLES if not (folder / table).is_file()]
+    if missing:
+        raise BenchmarkError(f"{folder} lacks {', '.join(missing)}: unpack this city of MSLS there")
+    raw, placed, ordered, tasks = (folder / table for table in TABLES)
+    seen = columns(raw, ("key", "lon", "lat", "pano"))
+    told = columns(placed, ("key", "easting", "northing"))
+    drives = columns(ordered, ("key", "sequence_key"))
+    if not seen["key"] == told["key"] == drives["key"]:
+        raise BenchmarkError(
+            f"the tables of {folder} do not name the same photos in one order: fetch them again"
+        )
+    panoramas = truths(raw, "pano", seen["pano"])
+    counts = ~panoramas & _subset(tasks, subset, len(panoramas))
+    rows = np.flatnonzero(counts)
+    grid = np.stack([numbers(placed, name, told[name]) for name in ("easting", "northing")], axis=1)
+    degrees = np.stack([numbers(raw, name, seen[name]) for name in ("lat", "lon")], axis=1)
+    return _Part(
+        [f"{side}/images/{told['key'][row]}.jpg" for row in rows],
+        grid[rows],
+        degrees[rows],
+        [f"{side.split('/')[0]}/{drives['sequence_key'][row]}" for row in rows],
+        int(panoramas.sum()),
+    )
+
+
+def _subset(table: Path, column: str, count: int) -> Bool[np.ndarray, " n"]:
+    if not column:
+        return np.ones(count, dtype=np.bool_)
+    taken = truths(table, column, columns(table, (column,))[column])
+    if len(taken) != count:
+        raise BenchmarkError(f"{table} has {len(taken)} rows, but there are {count} photos: fetch it again")
+    return taken
+
+
+def _zone(degrees: Float64[np.ndarray, "n 2"]) -> int:
+    """The one zone that a city's metres are counted in: that of its middle."""
+    if not len(degrees):
+        return 0
+    lat, lon = np.median(degrees, axis=0)
+    number = int(np.clip((lon + 180) // 6 + 1, 1, 60))
+    return number if lat >= 0 else -number
+
+
+def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, Spots]:
+    names = [name for part in parts for name in part.names]
+    grid = np.concatenate([part.grid for part in parts])
+    zone: Int64[np.ndarray, " n"] = np.repeat(
+        np.array(zones, dtype=np.int64), [len(part.names) for part in parts]
+    )
+    globe = on_earth(grid, zone)
+    lost = np.isnan(globe[:, 0])
+    raw = np.concatenate([part.degrees for part in parts])
+    globe[lost] = np.clip(raw[lost], (-90, -180), (90, 180))
+    return PhotoList(base, names, where=globe), spots_of(grid, zone, globe)
+
+
+LAYOUT = Layout("MSLS tables", "train_val/<city>/{query,database}/ with four tables", looked_for, find, read)

@@ -1,0 +1,335 @@
+"""Samplers: which photos of which places make up the n-th batch.
+
+A sampler knows no past: its n-th batch depends on its seed and n alone, so a run that was interrupted goes on
+with what it would have seen. No two places of a batch should be so near that photos of one show the other, for
+they would count as different; all but `MixedSampler` see to that where positions are known.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import NDArray
+
+from salad.datasets.neighbours import Neighbours
+from salad.datasets.training_place import TrainingPlace, View, by_city
+from salad.errors import BenchmarkError
+
+# --- Places packed into batches, so that each has its turn once and no two of a batch are near to each other ---
+
+
+_SLACK = 4 / 3  # batches over those that distances ask for: with fewer, nobody could ever change places
+_TRIES = 8  # times that a place with near ones is offered another batch, whenever batches are shuffled
+
+
+class Packing:
+    """Places shared out among batches.
+
+    How many batches there are, and how many places each has room for, is settled once. Every shuffle fills
+    them anew: places that are near to no other trade freely; the others trade one for one where that
+    brings nobody next to a near one. So every shuffle is sound, and all are of one length.
+
+    Args:
+        places: their numbers, each once; at least one.
+        near: who is near to whom among them.
+        room: most places in a batch.
+    """
+
+    def __init__(self, places: Sequence[int], near: Neighbours, *, room: int) -> None:
+        self._places = places
+        self._foes = _foes(places, near)
+        self._home = self._settled(room)
+
+    def shuffled(self, chance: np.random.Generator) -> list[list[int]]:
+        """The batches, each a list of places, shared out anew."""
+        home = self._home.copy()
+        tied = np.array([bool(foes) for foes in self._foes])
+        free = np.flatnonzero(~tied)
+        home[free] = home[chance.permutation(free)]
+        self._trade(home, np.repeat(np.flatnonzero(tied), _TRIES), chance)
+        batches: list[list[int]] = [[] for _ in range(int(home.max()) + 1)]
+        for place in chance.permutation(len(home)):
+            batches[home[place]].append(self._places[place])
+        return batches
+
+    def _trade(self, home: NDArray[np.int64], movers: NDArray[np.int64], chance: np.random.Generator) -> None:
+        offered = chance.integers(len(home), size=len(movers))
+        for one, other in zip(chance.permutation(movers).tolist(), offered.tolist(), strict=True):
+            here, there = home[one], home[other]
+            if self._fits(home, one, there, without=other) and self._fits(home, other, here, without=one):
+                home[one], home[other] = there, here
+
+    def _fits(self, home: NDArray[np.int64], place: int, batch: int, *, without: int) -> bool:
+        return all(home[foe] != batch or foe == without for foe in self._foes[place])
+
+    def _settled(self, room: int) -> NDArray[np.int64]:
+        """A batch for each place: even ones, and more than the distances ask for, so that there is room to trade.
+
+        Those hard to place come first, and each goes where most room is left.
+        """
+        order = sorted(range(len(self._places)), key=lambda place: -len(self._foes[place]))
+        home = np.full(len(order), -1, dtype=np.int64)
+        kinds = _kinds(self._foes, order)
+        spare = min(math.ceil(_SLACK * kinds), len(order) // 2) if kinds > 1 else 1
+        fill = np.zeros(max(-(-len(order) // room), kinds, spare), dtype=np.int64)
+        for place in order:
+            fits = fill < room
+            fits[[home[foe] for foe in self._foes[place] if home[foe] >= 0]] = False
+            if not fits.any():
+                fill, fits = np.append(fill, 0), np.append(fits, True)
+            home[place] = emptiest = np.argmin(np.where(fits, fill, room + 1))
+            fill[emptiest] += 1
+        return self._evened(home, fill)
+
+    def _evened(self, home: NDArray[np.int64], fill: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Move places out of full batches into emptier ones that were opened late."""
+        for place, foes in enumerate(self._foes):
+            fits = fill + 1 < fill[home[place]]
+            fits[[home[foe] for foe in foes]] = False
+            if fits.any():
+                emptiest = np.argmin(np.where(fits, fill, fill.max() + 1))
+                fill[home[place]] -= 1
+                fill[emptiest] += 1
+                home[place] = emptiest
+        return home
+
+
+def _kinds(foes: Sequence[Sequence[int]], order: Sequence[int]) -> int:
+    """How many batches places need where room is no matter, taking them one by one: colours of a map."""
+    kind = [-1] * len(foes)
+    for place in order:
+        taken = {kind[foe] for foe in foes[place]}
+        kind[place] = next(number for number in itertools.count() if number not in taken)
+    return max(kind) + 1
+
+
+def _foes(places: Sequence[int], near: Neighbours) -> list[list[int]]:
+    """For each place, where among them those stand that are near to it."""
+    at = {place: number for number, place in enumerate(places)}
+    return [sorted(at[other] for other in near.of(place).tolist() if other in at) for place in places]
+
+
+APART_M = 100.0
+"""How far apart, in metres, two places of a batch are at least: GSV-Cities' own distance."""
+
+
+class Sampler(Protocol):
+    """Batches by their numbers."""
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on; the same whenever it is asked for."""
+        ...
+
+
+class MixedSampler:
+    """Places of all cities in one batch; a city takes part by the square root of its size.
+
+    It keeps no distance between places: use it for sets whose places lie far enough apart by themselves.
+
+    Args:
+        places: what to draw from.
+        per_batch: places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        mirror: whether half of the places are mirrored.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs.
+    """
+
+    def __init__(
+        self, places: Sequence[TrainingPlace], *, per_batch: int, views: int, seed: int, mirror: bool = True
+    ) -> None:
+        _check_enough(places, per_batch)
+        numbers, self._chances = _chances(places)
+        self._places = [places[number] for number in numbers]
+        self._per_batch, self._views, self._seed, self._mirror = per_batch, views, seed, mirror
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on."""
+        chance = np.random.default_rng((self._seed, number))
+        drawn = chance.choice(len(self._places), size=self._per_batch, replace=False, p=self._chances)
+        return _views(
+            [self._places[index] for index in drawn], chance, views=self._views, mirror=self._mirror
+        )
+
+
+class OneCitySampler:
+    """Each batch within one city, every place once an epoch, as the paper trains; each epoch is shuffled anew.
+
+    Places of one city look more alike than those of two, so that there is more to learn from each batch. Batches
+    hold `per_batch` places or fewer, as even as they come: a city's places seldom divide by it. A place that would
+    be alone in its batch teaches nothing and is left out of that epoch.
+
+    Args:
+        places: what to draw from.
+        per_batch: most places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        mirror: whether half of the places are mirrored.
+        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
+
+    Attributes:
+        per_epoch: batches in an epoch.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs, or none that may stand beside another.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[TrainingPlace],
+        *,
+        per_batch: int,
+        views: int,
+        seed: int,
+        mirror: bool = False,
+        apart_m: float = APART_M,
+    ) -> None:
+        _check_enough(places, per_batch)
+        near = Neighbours([place.where for place in places], apart_m)
+        cities = by_city(places).values()
+        self._packings = [Packing(city, near, room=per_batch) for city in cities]
+        self._places, self._views, self._seed, self._mirror = places, views, seed, mirror
+        self._epoch, self._batches = -1, list[list[int]]()
+        self.per_epoch = len(self._plan(0))
+        if not self.per_epoch:
+            raise _no_two(places, apart_m)
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on; an epoch ends every `per_epoch` batches."""
+        epoch, within = divmod(number, self.per_epoch)
+        shown = [self._places[place] for place in self._plan(epoch)[within]]
+        chance = np.random.default_rng((self._seed, number))
+        return _views(shown, chance, views=self._views, mirror=self._mirror)
+
+    def _plan(self, epoch: int) -> list[list[int]]:
+        if epoch != self._epoch:
+            # the 1 behind keeps these draws apart from those of a batch: a 0 there would not
+            chance = np.random.default_rng((self._seed, epoch, 1))
+            packed = [batch for packing in self._packings for batch in packing.shuffled(chance)]
+            several = [batch for batch in packed if len(batch) > 1]
+            self._batches = [several[place] for place in chance.permutation(len(several))]
+            self._epoch = epoch
+        return self._batches
+
+
+class CliqueSampler:
+    """Batches of cliques of places that look alike, in which each city takes part as in mixed ones.
+
+    Whole cliques are drawn, and places of no clique by themselves, each with the mean chance of its places in a
+    `MixedSampler`: cliques change whom a place meets, hardly how often it comes. The last drawn is cut where its
+    batch is full, and a place near to one that is in it already waits for another batch.
+
+    Args:
+        places: what to draw from.
+        per_batch: most places in a batch.
+        views: photos of each; a place with fewer shows some of them twice.
+        seed: decides everything.
+        cliques: numbers of places, as `salad.training.mining.mine` gives them.
+        mirror: whether half of the places are mirrored.
+        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
+
+    Raises:
+        BenchmarkError: there are fewer places than a batch needs or none that may stand beside another; or a
+            place is in two cliques, or in none of the places.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[TrainingPlace],
+        *,
+        per_batch: int,
+        views: int,
+        seed: int,
+        cliques: Sequence[Sequence[int]],
+        mirror: bool = False,
+        apart_m: float = APART_M,
+    ) -> None:
+        _check_enough(places, per_batch)
+        taken = [place for clique in cliques for place in clique]
+        if len(set(taken)) < len(taken) or not set(taken) <= set(range(len(places))):
+            raise BenchmarkError(
+                f"a clique names a place twice, or one that is not among the {len(places)} places: mine the cliques "
+                "anew from the places they are to be used with"
+            )
+        self._near = Neighbours([place.where for place in places], apart_m)
+        numbers, chances = _chances(places)
+        # A place near to all others would be alone in its batch, and teach nothing.
+        of = {
+            number: chance
+            for number, chance in zip(numbers, chances.tolist(), strict=True)
+            if len(self._near.of(number)) < len(places) - 1
+        }
+        if not of:
+            raise _no_two(places, apart_m)
+        alone = sorted(set(range(len(places))) - set(taken))
+        together = [
+            [place for place in clique if place in of] for clique in [*cliques, *([n] for n in alone)]
+        ]
+        self._groups = [group for group in together if group]
+        self._chances = np.array([sum(of[place] for place in group) / len(group) for group in self._groups])
+        self._places, self._per_batch, self._views = places, per_batch, views
+        self._seed, self._mirror = seed, mirror
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on."""
+        chance = np.random.default_rng((self._seed, number))
+        # waiting times: the same as to draw one after another, each by its chance among those that are left
+        order = np.argsort(chance.exponential(size=len(self._chances)) / self._chances).tolist()
+        drawn, shut = list[int](), set[int]()
+        for place in itertools.chain.from_iterable(
+            chance.permutation(self._groups[group]).tolist() for group in order
+        ):
+            if len(drawn) == self._per_batch:
+                break
+            if place not in shut:
+                drawn.append(place)
+                shut.update(self._near.of(place).tolist())
+        shown = [self._places[place] for place in drawn]
+        return _views(shown, chance, views=self._views, mirror=self._mirror)
+
+
+def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], Float64[np.ndarray, " places"]]:
+    """Places' numbers, city by city, and the chance of each: a city's is the square root of its size."""
+    cities = list(by_city(places).values())
+    shares = np.sqrt([len(city) for city in cities])
+    chances = [np.full(len(c), s / len(c)) for c, s in zip(cities, shares / shares.sum(), strict=True)]
+    return [number for city in cities for number in city], np.concatenate(chances)
+
+
+def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
+    return BenchmarkError(
+        f"no two of the {len(places)} places may stand in one batch, since places of one city lie within "
+        f"{apart_m:g} m of each other: take photos of more places, or train with a smaller distance"
+    )
+
+
+def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:
+    if len(places) < per_batch:
+        raise BenchmarkError(
+            f"a batch needs {per_batch} places, but there are {len(places)} to learn from: take photos of more places, "
+            "hold a smaller share of them out, or draw fewer for a batch"
+        )
+
+
+def _views(
+    places: Sequence[TrainingPlace], chance: np.random.Generator, *, views: int, mirror: bool
+) -> list[View]:
+    return [
+        View(place.photos[photo], label, mirrored, place)
+        for label, place in enumerate(places)
+        for mirrored in [mirror and bool(chance.random() < 0.5)]
+        for photo in _some(chance, len(place.photos), views)
+    ]
+
+
+def _some(chance: np.random.Generator, photos: int, views: int) -> list[int]:
+    rounds = math.ceil(views / photos)  # a place with too few photos shows some of them twice
+    drawn: list[int] = np.concatenate([chance.permutation(photos) for _ in range(rounds)])[:views].tolist()
+    return drawn

@@ -1,0 +1,106 @@
+"""The demo: a town is drawn, indexed, and later photos of it are located; a table and a page show how well.
+
+draw ──> index ──> locate ──> judge ──> page
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from salad.demo.page import write_page
+from salad.demo.result import DemoResult, Judged
+from salad.demo.town.town import Town, draw_town
+from salad.errors import StoreError
+from salad.index.build import index_photos
+from salad.index.index import Index
+from salad.localize.locate import Answer, locate_many
+
+if TYPE_CHECKING:
+    from salad.models.describer import Describes
+
+
+MODEL = "salad-lite"
+
+Say = Callable[[str], None]
+Progress = Callable[[int, int], None]
+
+
+def run_demo(
+    to: str | Path,
+    *,
+    seed: int = 7,
+    references: int = 240,
+    queries: int = 40,
+    model: Describes | None = None,
+    say: Say = lambda _: None,
+    progress: Progress | None = None,
+) -> DemoResult:
+    """Draw a town, index it, locate later photos of it, and write a page about it.
+
+    Makes `town/` (kept and used again when it is complete), `town.index/` (made anew) and `town.html` in `to`.
+
+    Args:
+        to: the folder; made where it does not exist.
+        seed: decides the town.
+        references: photos of the drive by day.
+        queries: later photos, under other conditions.
+        model: what describes photos; `salad-lite` where not given.
+        say: called with a sentence before each step.
+        progress: called with (done, of how many) within a step.
+
+    Raises:
+        BenchmarkError: the town or the page cannot be written.
+        StoreError: the index cannot be written.
+        WeightsError: the model's weights are missing.
+    """
+    home = Path(to)
+    model = model or _shipped()
+    say(f"Drawing a town: {references} photos by day, {queries} on later visits")
+    town = draw_town(home / "town", seed=seed, references=references, queries=queries, progress=progress)
+    say(f"Describing and indexing {references} photos with {model.name}")
+    start = time.perf_counter()
+    with _empty_index(home / "town.index", model) as index:
+        index_photos(town.references, index, model, progress=progress)
+        say(f"Locating {queries} photos")
+        answers = list(locate_many(town.queries, index=index, model=model))
+    result = DemoResult(
+        town=town,
+        judged=judge(answers, town),
+        model=model.name,
+        fingerprint=model.fingerprint,
+        described=len(town.references) + len(answers),
+        seconds=time.perf_counter() - start,
+        seed=seed,
+        page=home / "town.html",
+        index=home / "town.index",
+    )
+    say("Drawing the page")
+    write_page(result, model)
+    return result
+
+
+def judge(answers: list[Answer], town: Town) -> tuple[Judged, ...]:
+    """Put every answer beside the truth."""
+    return tuple(
+        Judged(answer, town.truth[answer.query.name], town.conditions[answer.query.name])
+        for answer in answers
+    )
+
+
+def _shipped() -> Describes:
+    from salad.models.model_folder import load  # torch comes with it
+
+    return load(MODEL)
+
+
+def _empty_index(folder: Path, model: Describes) -> Index:
+    """An empty index in place of the one a demo before left; what is no index of ours is not removed."""
+    with suppress(StoreError):
+        Index.open(folder).close()
+        shutil.rmtree(folder, ignore_errors=True)
+    return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)

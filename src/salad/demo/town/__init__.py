@@ -1,0 +1,1 @@
+"""A drawn town with true coordinates."""

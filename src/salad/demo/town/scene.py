@@ -1,0 +1,160 @@
+"""One photo of the town: gather what stands near a camera, cast the rays, light what they met."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salad.demo.town import things
+from salad.demo.town.camera import Camera
+from salad.demo.town.facade import paint_front, paint_mansard, paint_side
+from salad.demo.town.ground import Field, Ground, heights, shadows
+from salad.demo.town.light import LIGHTS, develop, expose, towards
+from salad.demo.town.plan import Plan, Thing, park_cars
+from salad.demo.town.raster import Faces, Texture, cast
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One photo to take: from where, in which light, on which visit (it decides cars and clouds)."""
+
+    name: str
+    camera: Camera
+    light: str
+    visit: int
+
+
+SIGHT = 130.0
+"""Nothing farther away is drawn, in metres."""
+FINER = 1.5
+"""Rays a pixel, along each side."""
+
+
+@dataclass
+class Studio:
+    """Draws photos of one town; keeps painted walls, shadows and the ground from one photo to the next."""
+
+    plan: Plan
+    textures: dict[tuple[object, ...], Texture] = field(default_factory=dict)
+    shades: dict[tuple[str, int], Field] = field(default_factory=dict)
+    houses: list[Faces] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Survey the ground and put up the houses."""
+        self.ground = Ground.of(self.plan)
+        self.houses = [things.house_faces(house, number) for number, house in enumerate(self.plan.houses)]
+        self.centres = np.array([house.corners.mean(axis=0) for house in self.plan.houses])
+
+    def draw(self, shot: Shot) -> NDArray[np.uint8]:
+        """The photo, uint8 ``[H, W, 3]``."""
+        size = shot.camera.size
+        camera = replace(shot.camera, size=(round(size[0] * FINER), round(size[1] * FINER)))
+        light, parked = LIGHTS[shot.light], park_cars(self.plan, shot.visit)
+        faces = self.gather(shot, parked)
+        seen = cast(camera, faces, self.paint)
+        seed = (self.plan.seed, 7, shot.visit)
+        linear = develop(
+            camera,
+            seen,
+            _outward(faces, camera),
+            light=light,
+            ground=self.ground,
+            shade=self.shade(shot, parked) if any(light.direct) else None,
+            lamps=self.lamps(shot),
+            seed=seed,
+        )
+        rng = np.random.default_rng([*seed, *shot.name.encode()])
+        return expose(linear, light, rng, size=size, shake=0.03 if shot.light == "day" else 0.08)
+
+    def gather(self, shot: Shot, parked: tuple[Thing, ...]) -> Faces:
+        """All faces near enough to be seen."""
+        place, faces = np.array(shot.camera.position[:2]), Faces()
+        rng = np.random.default_rng([self.plan.seed, 8, shot.visit])
+        out = rng.random(len(self.houses)) < 0.7
+        for number in np.flatnonzero(np.linalg.norm(self.centres - place, axis=1) < SIGHT).tolist():
+            faces.extend(self.houses[number])
+            house = self.plan.houses[number]
+            faces.extend(things.front_faces(house, number, awning_out=bool(out[number])))
+        for car in parked:
+            if 4.2 < np.hypot(*(np.array(car.where) - place)) < 90:
+                faces.extend(things.car_faces(car))
+        for number, tree in enumerate(self.plan.trees):
+            _stand(faces, tree, place, tree.height * 0.8, ("tree", tree.sort, number % 5))
+        for lamp in self.plan.lamps:
+            _stand(faces, lamp, place, 0.8, ("lamp",))
+        return faces
+
+    def lamps(self, shot: Shot) -> NDArray[np.float64]:
+        """The lamps near enough to matter ``[L, 3]``."""
+        places: NDArray[np.float64] = np.array([[*lamp.where, 4.75] for lamp in self.plan.lamps]).reshape(
+            -1, 3
+        )
+        near = np.linalg.norm(places[:, :2] - shot.camera.position[:2], axis=1) < 55
+        return np.asarray(places[near], np.float64)
+
+    def shade(self, shot: Shot, parked: tuple[Thing, ...]) -> Field:
+        """The shadows of a visit."""
+        key = (shot.light, shot.visit)
+        if key not in self.shades:
+            self.shades = {key: shadows(heights(self.plan, parked), towards(LIGHTS[shot.light]))}
+        return self.shades[key]
+
+    def paint(self, skin: tuple[object, ...]) -> Texture:
+        """The texture a face asks for, painted at the first asking."""
+        if skin not in self.textures:
+            self.textures[skin] = self._paint(*skin)
+        return self.textures[skin]
+
+    def _paint(self, name: object, *rest: Any) -> Texture:
+        makers: dict[object, Callable[..., Texture]] = {
+            "front": self._paint_front,
+            "side": self._paint_side,
+            "mansard": self._paint_mansard,
+            "tree": things.paint_tree,
+            "lamp": things.paint_lamp,
+            "car": things.paint_car,
+            "car-part": things.paint_car_part,
+            "tiles": things.paint_tiles,
+            "stripes": things.paint_stripes,
+            "railing": things.paint_railing,
+            "plain": things.paint_plain,
+            "blade": things.paint_blade,
+        }
+        return makers[name](*rest)
+
+    def _paint_front(self, number: int) -> Texture:
+        house = self.plan.houses[number]
+        return paint_front(house.style, house.width).texture()
+
+    def _paint_side(self, number: int, wall: int) -> Texture:
+        house = self.plan.houses[number]
+        width = float(np.linalg.norm(house.corners[(wall + 1) % 4] - house.corners[wall]))
+        return paint_side(house.style, width, wall).texture()
+
+    def _paint_mansard(self, number: int) -> Texture:
+        house = self.plan.houses[number]
+        return paint_mansard(house.style, house.width, things.MANSARD_SLOPE).texture()
+
+
+def _outward(faces: Faces, camera: Camera) -> NDArray[np.float64]:
+    """Every face's normal ``[F, 3]``, turned to the camera: what is seen from behind is lit from behind."""
+    corner, right, up = faces.arrays()
+    normals = np.cross(right, up)
+    normals[np.einsum("fi,fi->f", corner - camera.position, normals) > 0] *= -1
+    return normals
+
+
+def _stand(
+    faces: Faces, thing: Thing, place: NDArray[np.float64], width: float, skin: tuple[object, ...]
+) -> None:
+    """Put up a flat picture that turns towards the camera."""
+    away = np.array(thing.where) - place
+    distance = float(np.hypot(*away))
+    if 1.5 < distance < SIGHT:
+        right = np.array([away[1], -away[0], 0.0]) / distance * width
+        foot = np.array([*thing.where, 0.0]) - right / 2
+        faces.add(foot, right, (0.0, 0.0, thing.height), skin, both=True)

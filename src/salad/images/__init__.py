@@ -1,0 +1,1 @@
+"""Photos: finding them, what is known of each, decoding them."""

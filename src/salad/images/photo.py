@@ -1,0 +1,351 @@
+"""Photos: finding them, what is known of each, which is which; their pixels are in `salad.images.decode`."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import os
+import sys
+import unicodedata
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TextIO
+
+from salad.errors import PhotoError, PositionError
+from salad.geo import GeoPoint
+from salad.images.decode import existing, naming, read_exif
+from salad.images.metadata import Position, parse_at_name
+from salad.tables import rows
+
+# --- Positions of photos from a table: CSV or Parquet with the columns `path,lat,lon[,heading,time]` ---
+
+
+_NEEDED = ("path", "lat", "lon")
+_LONG_NAME = 40  # characters of a column's name that a sentence tells
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table (one row of Parquet): its number in the file, the path as written, what it says."""
+
+    line: int
+    path: str
+    position: Position
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoTable:
+    """Positions by photo.
+
+    A row means the photo at its path, seen from the table's folder. Where no photo stands there, it means one
+    whose path ends in the row's (a bare name is the shortest such end), so that a table may be kept apart
+    from its photos, and yet `references/0001.jpg` never speaks for `queries/0001.jpg`.
+    """
+
+    path: Path
+    rows: tuple[Row, ...]
+    _by_place: dict[str, Row]
+    _by_end: dict[str, Row]
+
+    @classmethod
+    def read(cls, path: str | Path) -> PhotoTable:
+        """Read a CSV table: UTF-8 (with or without a mark), commas, a header; more columns do no harm.
+
+        A name that ends in `.parquet` is read as Parquet, with the same columns; times may be timestamps.
+
+        Raises:
+            MissingExtraError: it is Parquet, and pyarrow is not installed.
+            PositionError: where the file or a column is missing, a row makes no sense (named by its line), or
+                a photo has two rows.
+        """
+        path = Path(path)
+        lines = _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_csv(path)
+        by_place: dict[str, Row] = {}
+        by_end: dict[str, Row] = {}
+        for row in lines:
+            place = _key(path.parent / row.path)
+            if (first := by_place.setdefault(place, row)) is not row:
+                raise PositionError(
+                    f"{path}, line {row.line}: {row.path!r} has a row already, line {first.line}: keep one"
+                )
+            # A row whose photo is where it says speaks for that photo only.
+            if not os.path.isabs(row.path) and not os.path.exists(place):  # noqa: PTH110, PTH117  # plain strings
+                by_end[_spelled(os.path.normpath(row.path))] = row
+        return cls(path, tuple(lines), by_place, by_end)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def get(self, photo: str | Path) -> Position | None:
+        """What the table says of a photo, or None where it has no row."""
+        row = self._row(photo)
+        return None if row is None else row.position
+
+    def check_used(self, photos: Iterable[str | Path]) -> None:
+        """Make sure that each row names exactly one of `photos`, for tables that should fit them.
+
+        Raises:
+            PositionError: naming the first line that names none of them or two.
+        """
+        taken: dict[int, str | Path] = {}
+        for photo in photos:
+            row = self._row(photo)
+            if row is None:
+                continue
+            other = taken.setdefault(row.line, photo)
+            if _key(Path(other)) != _key(Path(photo)):
+                raise PositionError(
+                    f"{self.path}, line {row.line}: {row.path!r} fits two photos, {other} and {photo}: "
+                    f"write enough of the path to tell them apart"
+                )
+        for row in self.rows:
+            if row.line not in taken:
+                raise PositionError(
+                    f"{self.path}, line {row.line}: no photo fits {row.path!r}: correct the row or drop it"
+                )
+
+    def _row(self, photo: str | Path) -> Row | None:
+        key = _key(Path(photo))
+        if (row := self._by_place.get(key)) is not None:
+            return row
+        parts = Path(key).parts[1:]
+        ends = (str(Path(*parts[start:])) for start in range(len(parts)))
+        return next((self._by_end[end] for end in ends if end in self._by_end), None)
+
+
+def _key(path: Path) -> str:
+    return _spelled(os.path.abspath(path))  # noqa: PTH100  # resolve() would follow links, a photo keeps its own name
+
+
+def _spelled(path: str) -> str:
+    """One spelling for accented names: some file systems take letters and accents apart."""
+    return unicodedata.normalize("NFC", path)
+
+
+def _read_csv(path: Path) -> list[Row]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, strict=True, restval="")
+            reader.fieldnames = _header(path, reader.fieldnames or [])
+            return [_row(path, reader.line_num, fields) for fields in reader]
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except UnicodeDecodeError as error:
+        raise PositionError(
+            f"the table {path} is not UTF-8 text ({error.reason}): save it as CSV in UTF-8"
+        ) from error
+    except csv.Error as error:
+        raise PositionError(f"the table {path} is not CSV ({error}): save it as CSV with commas") from error
+
+
+def _read_parquet(path: Path) -> list[Row]:
+    try:
+        return [_row(path, number, fields) for number, fields in enumerate(_fields(path), start=1)]
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except ValueError as error:
+        raise PositionError(f"the table {path} cannot be read: {error}; save it as Parquet or CSV") from error
+
+
+def _fields(path: Path) -> Iterator[dict[str, str]]:
+    header: list[str] = []
+    for row in rows(path):
+        header = header or _header(path, row)  # every row has the same columns
+        yield dict(zip(header, map(_text, row.values()), strict=True))
+
+
+def _text(value: object) -> str:
+    """A value as CSV would hold it; whoever has no heading may write nothing or NaN."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return value.isoformat() if isinstance(value, datetime) else str(value)
+
+
+def _unreadable(path: Path, error: OSError) -> PositionError:
+    return PositionError(
+        f"the table {path} cannot be read ({error.strerror or error}): check the name and who may read it"
+    )
+
+
+def _header(path: Path, names: Iterable[str]) -> list[str]:
+    header = [name.strip().lower() for name in names]
+    for needed in _NEEDED:
+        if header.count(needed) != 1:
+            found = ", ".join(map(_legible, header)) or "none"
+            raise PositionError(
+                f"the table {path} needs one column {needed!r}, but its columns are {found}: "
+                f"write path,lat,lon[,heading,time] in the first line, with commas"
+            )
+    return header
+
+
+def _legible(name: str) -> str:
+    """A column's name as it fits into a sentence: a table that is none may hold anything there."""
+    name = name if len(name) <= _LONG_NAME else name[:_LONG_NAME] + "..."
+    return name if name.isprintable() else repr(name)
+
+
+def _row(path: Path, line: int, fields: dict[str, str]) -> Row:
+    try:
+        name = _name(fields)
+        where = GeoPoint(_number(fields, "lat"), _number(fields, "lon"))
+        heading = _number(fields, "heading") % 360 if fields.get("heading", "").strip() else None
+        return Row(line, name, Position(where, heading, _time(fields.get("time", "").strip())))
+    except (ValueError, PositionError) as error:
+        raise PositionError(f"{path}, line {line}: {error}; correct the row or leave it out") from error
+
+
+def _name(fields: dict[str, str]) -> str:
+    if None in fields:
+        raise ValueError("it has more fields than the header (put names with commas in quotes)")
+    name = fields["path"].strip()
+    if not name or "\0" in name:
+        raise ValueError("its path is empty or no file's name")
+    return name
+
+
+def _number(fields: dict[str, str], column: str) -> float:
+    text = fields[column].strip()
+    with suppress(ValueError):
+        number = float(text)
+        if abs(number) <= 1e6:  # neither nan nor infinite, nor so large that a turn is lost in rounding
+            return number
+    raise ValueError(f"its {column} {text!r} is not a number of degrees")
+
+
+def _time(text: str) -> datetime | None:
+    if not text:
+        return None
+    with suppress(ValueError):
+        return datetime.fromisoformat(text)
+    raise ValueError(f"its time {text!r} is not written as 2024-05-31T14:00:00")
+
+
+SUFFIXES = frozenset(
+    {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff", ".bmp", ".gif"}
+    | {".ppm", ".pgm", ".pnm", ".jp2", ".avif", ".heic", ".heif"}
+)
+"""What a photo's name ends in, in small letters; a folder's other files are not photos."""
+
+
+@dataclass(frozen=True, slots=True)
+class Photo:
+    """A photo and what is known of it.
+
+    Attributes:
+        path: its file.
+        where: where it was taken.
+        heading: which way the camera looked, in degrees clockwise from north, 0 to 360.
+        time: when it was taken; local time where it carries no time zone.
+    """
+
+    path: Path
+    where: GeoPoint | None = None
+    heading: float | None = None
+    time: datetime | None = None
+
+
+# --- finding -------------------------------------------------------------------------------
+
+
+def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> list[Path]:
+    """The photos that files, folders and lists name, each once.
+
+    Folders are walked in order of names, through links but never in circles; what is hidden and what does not
+    end in one of `SUFFIXES` is left out. A file given by name is taken whatever it ends in. `-` stands for a
+    list on `stdin` (the process's own where not given), one file or folder a line.
+
+    Raises:
+        PhotoError: where a source is missing, a folder cannot be read or holds no photo, or nothing is named.
+    """
+    found: dict[Path, None] = {}
+    for source in sources:
+        if source == "":  # an unset variable in a script, which must not mean the folder it runs in
+            raise PhotoError("one of the photos named is an empty text: check the script that names it")
+        named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
+        for path in named:
+            inside = os.path.isdir(path)  # noqa: PTH112  # Path.is_dir fails over a name too long
+            found.update(dict.fromkeys(_photos_in(path) if inside else [existing(path)]))
+    if not found:
+        raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
+    return list(found)
+
+
+def listed(stdin: TextIO) -> list[Path]:
+    """The paths a list names, one a line; blank lines are left out.
+
+    Raises:
+        PhotoError: where the list is not text.
+    """
+    try:
+        lines = [line.removeprefix("\ufeff").rstrip("\r\n") for line in stdin]
+    except UnicodeDecodeError as error:
+        raise PhotoError("the list on standard input is not text: write one path a line, in UTF-8") from error
+    return [Path(line) for line in lines if line.strip()]
+
+
+def _photos_in(folder: Path) -> list[Path]:
+    photos: list[Path] = []
+    seen: set[str] = set()
+
+    def refuse(error: OSError) -> None:
+        raise PhotoError(
+            f"the folder {error.filename} cannot be read ({error.strerror}): leave it out"
+        ) from error
+
+    for here, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
+        real = os.path.realpath(here)
+        fresh = real not in seen
+        seen.add(real)
+        folders[:] = sorted(name for name in folders if fresh and not name.startswith("."))
+        if fresh:
+            photos += [Path(here, name) for name in files if _looks_like_photo(name)]
+    if not photos:
+        raise PhotoError(
+            f"the folder {folder} holds no photos: none of its files ends in .jpg, .png or the like"
+        )
+    return sorted(photos)
+
+
+def _looks_like_photo(name: str) -> bool:
+    return not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES  # noqa: PTH122  # a Path for each file is slow
+
+
+# --- what is known -------------------------------------------------------------------------
+
+
+def read_photo(path: Path, table: PhotoTable | None = None) -> Photo:
+    """A photo with its position, heading and time, each from the first that has it: table, `@` name, EXIF.
+
+    Pixels are not decoded: a photo that cannot be opened has no EXIF here, and `open_rgb` says what is wrong.
+
+    Raises:
+        PhotoError: where there is no such file.
+    """
+    path = existing(Path(path))
+    told = (parse_at_name(path.name) or Position()).completed(read_exif(path))
+    return placed(Photo(path, told.where, told.heading, told.time), table)
+
+
+def placed(photo: Photo, table: PhotoTable | None) -> Photo:
+    """The photo with what a table says of it, which comes before what it says itself."""
+    told = table.get(photo.path) if table else None
+    if told is None:
+        return photo
+    told = told.completed(Position(photo.where, photo.heading, photo.time))
+    return Photo(photo.path, told.where, told.heading, told.time)
+
+
+def content_hash(path: Path) -> str:
+    """Which photo this is, whatever its name: 32 hexadecimal digits of BLAKE2b over the file's bytes.
+
+    Raises:
+        PhotoError: where the file cannot be read.
+    """
+    path = existing(Path(path))
+    with naming(path), path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

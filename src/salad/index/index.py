@@ -1,0 +1,371 @@
+"""The index on disk: photos and descriptors in one folder, added, removed and searched, surviving a crash.
+
+A change writes descriptors first and sees them onto the disk, then commits the table of photos, which says
+how many rows count. Whatever a crash leaves is either committed or does not exist. docs/index-format.md tells
+the folder.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from salad.errors import StoreError, WrongModelError
+from salad.images.photo import Photo, content_hash
+from salad.index import catalog, centring, index_folder, vectors, verify
+from salad.index.catalog import Committed, Ledger
+from salad.index.checksums import ChecksumVerifier
+from salad.index.compact import Compacted, compact
+from salad.index.filters import Filter, allowed
+from salad.index.index_folder import Header
+from salad.index.search import Floats, Match, Snapshot, as_queries, best_rows
+from salad.index.vectors import Half
+from salad.index.verify import IndexInfo
+
+if TYPE_CHECKING:
+    from salad.models.describer import Describes
+
+
+# --- Taking photos in: descriptors behind all others first, then one commit that says they count ---
+
+
+def add(folder: Path, table: Ledger, photos: Sequence[Photo], contents: Sequence[str], rows: Half) -> int:
+    """Add photos to the index in `folder`; how many were new.
+
+    Args:
+        folder: The index.
+        table: Its photos.
+        photos: With absolute paths.
+        contents: Their contents.
+        rows: `[N, dim]`, their descriptors as they are stored.
+
+    Raises:
+        StoreError: If another program is writing, the disk is full, or descriptors of the index are lost;
+            nothing was added.
+    """
+    with table.writing():
+        last = table.committed()
+        known, first = table.known(contents), dict[str, int]()
+        for number, content in enumerate(contents):
+            if content not in known:
+                first.setdefault(content, number)
+        fresh = list(first.values())
+        if fresh:
+            chosen = rows if len(fresh) == len(rows) else rows[fresh]
+            _check_whole(folder, table, last, chosen.shape[1])
+            vectors.append(folder / last.matrix, chosen, at=last.rows)
+            new, names = [photos[n] for n in fresh], [contents[n] for n in fresh]
+            table.insert(new, names, vectors.sums(chosen), row=last.rows)
+        again = [number for number, content in enumerate(contents) if first.get(content) != number]
+        table.update([photos[n] for n in again], [contents[n] for n in again])
+        table.retire([photo.path for photo in photos], contents, below=last.rows)
+        table.commit_rows(last.rows + len(fresh))
+    return len(fresh)
+
+
+def _check_whole(folder: Path, table: Ledger, last: Committed, dim: int) -> None:
+    """Refuse to write behind descriptors that are lost: the gap would be filled, and pass for theirs.
+
+    Raises:
+        StoreError: If the file of descriptors is shorter than the photos that can be found need it.
+    """
+    rows = vectors.Rows(folder / last.matrix, rows=last.rows, dim=dim)
+    lost = table.count(start=rows.held) if rows.held < last.rows else 0
+    rows.close()
+    if lost:
+        raise StoreError(
+            f"{rows.path} is truncated and lacks the descriptors of {lost} photos, so nothing was added: restore "
+            f"it, or run 'salad compact {folder}', which lets go of those photos and names them, and index them "
+            "again"
+        )
+
+
+class Index:
+    """Photos with their descriptors in a folder. One writer at a time; any number of readers beside it.
+
+    Make one with `Index.create` or `Index.open`; close it, or use it as a context manager. An open index sees
+    what others commit: every search looks at the latest commit.
+    """
+
+    def __init__(self, folder: Path, header: Header, table: catalog.Ledger) -> None:
+        self.folder = folder
+        self.header = header
+        self._ledger = table
+        self._last: tuple[Snapshot, ChecksumVerifier] | None = None
+        self._middle: tuple[int, centring.Mean] | None = None  # the mean descriptor, of which generation
+
+    @classmethod
+    def create(cls, folder: str | Path, *, dim: int, fingerprint: str, model: str) -> Index:
+        """Make an empty index in `folder`, which must not exist or be empty, and open it.
+
+        Args:
+            folder: Where; folders above it are made too.
+            dim: Numbers in a descriptor.
+            fingerprint: The model's fingerprint.
+            model: The model's name.
+
+        Raises:
+            StoreError: If the folder is in use or cannot be written; nothing is left behind.
+        """
+        if dim < 1:
+            raise StoreError(f"an index of dimension {dim} cannot be: give the model's dimension, 1 or more")
+        header = Header(model, fingerprint, dim, datetime.now(UTC).replace(microsecond=0))
+        return cls.open(index_folder.make(Path(os.path.realpath(folder)), header))
+
+    @classmethod
+    def open(cls, folder: str | Path, *, wait: float = 10.0) -> Index:
+        """Open the index in `folder`; a folder that cannot be written can still be searched.
+
+        Where the file of descriptors is cut short, the photos it lost are not found; `verify` names them.
+
+        Args:
+            folder: Where.
+            wait: Seconds a change waits for another writer before it gives up.
+
+        Raises:
+            StoreError: If it is no index, a newer salad wrote it, or it is damaged.
+        """
+        home = Path(os.path.realpath(folder))
+        index = cls(home, Header.read(home), catalog.Ledger(home / catalog.CATALOG_FILE, wait=wait))
+        try:
+            index._snapshot()
+        except BaseException:
+            index.close()
+            raise
+        return index
+
+    @property
+    def dim(self) -> int:
+        """Numbers in a descriptor."""
+        return self.header.dim
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the model the index was made with."""
+        return self.header.fingerprint
+
+    @property
+    def model(self) -> str:
+        """Name of the model the index was made with."""
+        return self.header.model
+
+    def __len__(self) -> int:
+        with self._ledger.reading():
+            return self._ledger.count()
+
+    # --- changing ------------------------------------------------------------------------
+
+    def add(
+        self, photos: Sequence[Photo], descriptors: Floats, *, identities: Sequence[str] | None = None
+    ) -> int:
+        """Take in photos; all of them or, on an error, none.
+
+        A content the index already holds keeps its row and descriptor, and takes the new path and whatever is
+        newly known of it; the last of several in one call wins. A photo whose file now holds another content
+        is removed.
+
+        Args:
+            photos: The photos; paths are stored absolute, links resolved.
+            descriptors: `[N, dim]`, rows of length 1; stored as float16.
+            identities: Content hash of each photo; read from the files where not given.
+
+        Returns:
+            How many were new.
+
+        Raises:
+            StoreError: If the descriptors do not fit, another program is writing, the disk is full, or the
+                file of descriptors is cut short.
+            PhotoError: If a photo's content cannot be read to tell its identity.
+        """
+        rows = vectors.storable(descriptors, len(photos), self.dim)
+        contents = [content_hash(photo.path) for photo in photos] if identities is None else list(identities)
+        return add(self.folder, self._ledger, _placed(photos), contents, rows)
+
+    def update(self, photos: Sequence[Photo], identities: Sequence[str]) -> None:
+        """Give contents the index holds their path and what is newly known of them; pass over others."""
+        placed = _placed(photos)
+        with self._ledger.writing():
+            self._ledger.update(placed, identities)
+            self._ledger.retire([photo.path for photo in placed], identities)
+            self._ledger.commit_rows(self._ledger.committed().rows)
+
+    def remove(self, paths: Sequence[str | Path]) -> int:
+        """Forget the photos at these paths, or below them; how many. Their rows never come out again.
+
+        The files themselves are not touched and need not exist.
+        """
+        return self._remove(index_folder.resolved(paths))
+
+    def remove_missing(self, below: Sequence[str | Path] = ()) -> list[Path]:
+        """Forget the photos that `missing` names, and say which they were."""
+        gone = self.missing(below)
+        if gone:
+            self._remove(gone)
+        return gone
+
+    def compact(self) -> Compacted:
+        """Give back the room of removed photos, and let go of those whose descriptors are damaged or lost.
+
+        Others may search meanwhile; another writer waits.
+
+        Raises:
+            StoreError: If another program is writing, or the disk has no room; nothing changed.
+        """
+        return compact(self.folder, self._ledger, dim=self.dim)
+
+    # --- finding -------------------------------------------------------------------------
+
+    def known(self, identities: Sequence[str]) -> set[str]:
+        """Which of these contents the index holds."""
+        with self._ledger.reading():
+            return self._ledger.known(identities)
+
+    def find(self, identities: Sequence[str]) -> dict[str, Photo]:
+        """The photos with these contents, by content."""
+        with self._ledger.reading():
+            return self._ledger.find(identities)
+
+    def taken(self, paths: Sequence[Path]) -> set[Path]:
+        """At which of these absolute paths the index holds a photo."""
+        with self._ledger.reading():
+            return {path for _, path, _ in self._ledger.at_paths(paths)}
+
+    def search(
+        self, descriptors: Floats, *, k: int = 5, where: Filter | None = None, centred: bool = False
+    ) -> list[list[Match]]:
+        """The best k matches of each query: exact, best first, ties in order of row.
+
+        A photo whose descriptor is damaged is not among them.
+
+        Args:
+            descriptors: `[Q, dim]`, or `[dim]` for one query.
+            k: How many; a smaller index gives fewer.
+            where: Which photos may be found; it holds before the ranking.
+            centred: Whether scores leave out what all photos of the index have in common (`centring.py`).
+
+        Raises:
+            StoreError: If the descriptors are of another dimension or not finite, or k is below 1.
+        """
+        queries = as_queries(descriptors, self.dim)
+        while True:
+            with self._ledger.reading():
+                seen, trust = self._seen()
+                may = trust.alive() if where is None else allowed(where, self._ledger, trust.alive())
+            asked, added = queries, np.zeros(len(queries))
+            if centred:
+                asked, added = centring.centred(queries, self._mean(seen))
+            found = best_rows(seen.rows, asked, k=k, allowed=may)
+            rows = {row for best in found for row, _ in best}
+            with self._ledger.reading():
+                # Again, where a compaction came between the search and the names, or damage came out on top.
+                held = verify.at_rows(self._ledger, seen, rows)
+                if held is not None and trust.passes(self._ledger, rows):
+                    break
+        return [
+            [Match(held[row][0], score + more, row) for row, score in best if row in held]
+            for best, more in zip(found, added.tolist(), strict=True)
+        ]
+
+    def photos(self) -> Iterator[Photo]:
+        """Every photo, in order of row; memory stays small."""
+        return (photo for photo, _ in verify.listed(self._ledger))
+
+    def pages(self) -> Iterator[verify.Page]:
+        """Every photo with its content and descriptor, as one commit holds them, some at a time.
+
+        Raises:
+            StoreError: If another program compacts the index meanwhile.
+        """
+        return verify.pages(self._ledger, self._snapshot)
+
+    # --- tending -------------------------------------------------------------------------
+
+    def check_model(self, model: Describes) -> None:
+        """Make sure that `model` is the one the index was made with.
+
+        Raises:
+            WrongModelError: If it is another; the sentence names both and the way out.
+        """
+        if model.fingerprint != self.fingerprint:
+            raise WrongModelError(
+                f"{self.folder} was made with {self.model} ({self.fingerprint}), but the model in hand is "
+                f"{model.name} ({model.fingerprint}): pass --model {self.model}, or index the photos again "
+                "with --to another folder"
+            )
+
+    def verify(self) -> list[str]:
+        """Read everything and say what is wrong, a sentence each; empty means sound.
+
+        Photos whose descriptors are damaged or lost are named; all others can be used as before.
+        """
+        return verify.verify(self._ledger, self._snapshot)
+
+    def missing(self, below: Sequence[str | Path] = ()) -> list[Path]:
+        """Photos the index holds whose files are gone, of those below these folders where any are named.
+
+        A file that may not be looked at is not gone.
+        """
+        roots = index_folder.resolved(below)
+        paths = (photo.path for photo in self.photos())
+        asked = (path for path in paths if not roots or any(path.is_relative_to(root) for root in roots))
+        return [path for path in asked if index_folder.is_gone(path)]
+
+    def info(self) -> IndexInfo:
+        """What the index holds, in numbers."""
+        return verify.survey(self.folder, self.header, self._ledger)
+
+    def close(self) -> None:
+        """Let go of the files; the index cannot be used afterwards."""
+        self._last = None
+        self._ledger.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _snapshot(self) -> Snapshot:
+        return self._seen()[0]
+
+    def _seen(self) -> tuple[Snapshot, ChecksumVerifier]:
+        """The latest commit and what was checked of it; the same until somebody commits again."""
+        # The file it names cannot be deleted under us: that takes a commit, and nobody commits during a look.
+        with self._ledger.reading():
+            last = self._ledger.committed()
+            if self._last is None or self._last[0].generation != last.generation:
+                rows = vectors.Rows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
+                alive = np.ones(last.rows, dtype=np.bool_)
+                alive[self._ledger.dead_rows()] = False
+                alive[rows.held :] = False
+                seen = Snapshot(last.generation, rows, alive)
+                self._last = seen, ChecksumVerifier(seen)
+            return self._last
+
+    def _mean(self, seen: Snapshot) -> centring.Mean:
+        """Of what this commit holds; worked out once."""
+        last = self._middle
+        if last is None or last[0] != seen.generation:
+            self._middle = last = seen.generation, centring.mean_of(seen.rows, seen.alive)
+        return last[1]
+
+    def _remove(self, paths: Sequence[Path]) -> int:
+        with self._ledger.writing():
+            removed = sum(self._ledger.remove(path) for path in paths)
+            self._ledger.commit_rows(self._ledger.committed().rows)
+        return removed
+
+
+def _placed(photos: Sequence[Photo]) -> list[Photo]:
+    paths = index_folder.resolved(photo.path for photo in photos)
+    pairs = zip(photos, paths, strict=True)
+    return [photo if photo.path is path else replace(photo, path=path) for photo, path in pairs]

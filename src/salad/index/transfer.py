@@ -1,0 +1,483 @@
+"""Descriptors and photos to other tools, and back.
+
+An export is a folder: `descriptors.npy`, `photos.csv` (or `.parquet`, `.geojson`) with a line for each of its
+rows in the same order, and `model.json`, which says whose descriptors they are. What another tool wrote is
+taken as well: one `.npy` and one table in a folder; of which model they are, the user must say.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from salad.errors import PhotoError, PositionError, StoreError, WrongModelError
+from salad.geo import GeoPoint
+from salad.images.photo import Photo, content_hash
+from salad.index import index_folder, vectors
+from salad.index.index import Index
+from salad.index.npy import Matrix, Writer
+from salad.tables import arrow, csv_line, rows
+
+# --- Photos as a table that other programs read: CSV, Parquet, GeoJSON. One line a photo, in a given order ---
+#
+# CSV keeps every name, even one that is not UTF-8; Parquet cannot. GeoJSON has the photos as points, with null
+# for those without a position.
+
+
+Form = Literal["csv", "parquet", "geojson"]
+Put = Callable[[Sequence[Photo], Sequence[str]], None]
+Record = Mapping[str, Any]
+
+COLUMNS = ("path", "lat", "lon", "heading", "time", "identity")
+_DEGREES = ("lat", "lon", "heading")
+
+
+# --- writing -------------------------------------------------------------------------------
+
+
+def writer(path: Path) -> AbstractContextManager[Put]:
+    """Begin a table at `path`, of the form its name ends in; what it gives takes photos and their contents.
+
+    Raises:
+        MissingExtraError: If it is to be Parquet, and what writes it is not installed.
+    """
+    return {".csv": _csv_writer, ".parquet": _parquet_writer, ".geojson": _geojson_writer}[path.suffix](path)
+
+
+@contextmanager
+def _csv_writer(path: Path) -> Iterator[Put]:
+    with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+        file.write(csv_line(COLUMNS))
+        yield lambda photos, identities: file.writelines(
+            csv_line(record[name] for name in COLUMNS) for record in map(_record, photos, identities)
+        )
+
+
+@contextmanager
+def _geojson_writer(path: Path) -> Iterator[Put]:
+    with path.open("w", encoding="utf-8") as file:
+        between = ""
+        file.write('{"type": "FeatureCollection", "features": [')
+
+        def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
+            nonlocal between
+            for record in map(_record, photos, identities):
+                text = _is_text(record["path"])  # names that are not UTF-8 are escaped
+                file.write(f"{between}\n{json.dumps(_feature(record), ensure_ascii=not text)}")
+                between = ","
+
+        yield put
+        file.write("\n]}\n")
+
+
+@contextmanager
+def _parquet_writer(path: Path) -> Iterator[Put]:
+    pyarrow, parquet = arrow("writing Parquet")
+    kinds = {name: pyarrow.float64() if name in _DEGREES else pyarrow.string() for name in COLUMNS}
+    schema = pyarrow.schema(list(kinds.items()))
+    with parquet.ParquetWriter(path, schema) as file:
+
+        def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
+            records = list(map(_record, photos, identities))
+            for path in (record["path"] for record in records if not _is_text(record["path"])):
+                raise StoreError(
+                    f"{os.fsencode(path)!r} is not UTF-8, and Parquet holds no other names: export as csv"
+                )
+            file.write_table(pyarrow.Table.from_pylist(records, schema=schema))
+
+        yield put
+
+
+def _record(photo: Photo, identity: str) -> dict[str, Any]:
+    where = photo.where
+    return {
+        "path": str(photo.path),
+        "lat": where.lat if where else None,
+        "lon": where.lon if where else None,
+        "heading": photo.heading,
+        "time": photo.time.isoformat() if photo.time else None,
+        "identity": identity,
+    }
+
+
+def _feature(record: Record) -> dict[str, Any]:
+    lat, lon = record["lat"], record["lon"]
+    point = None if lat is None else {"type": "Point", "coordinates": [lon, lat]}
+    rest = {name: record[name] for name in COLUMNS if name not in ("lat", "lon")}
+    return {"type": "Feature", "geometry": point, "properties": rest}
+
+
+def _is_text(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+# --- reading -------------------------------------------------------------------------------
+
+
+def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
+    """The photos of a table, of the form its name ends in, with their contents where it tells them.
+
+    Columns: `path` (seen from the table's folder), and `lat`, `lon`, `heading`, `time` and `identity` where
+    they are known. More columns do no harm.
+
+    Raises:
+        StoreError: If the table cannot be read, or a line of it makes no sense; it is named.
+        MissingExtraError: If it is Parquet, and what reads it is not installed.
+    """
+    readers = {".csv": _csv_records, ".parquet": rows, ".geojson": _geojson_records}
+    done = 0
+    try:
+        for record in readers[path.suffix.lower()](path):
+            yield _photo(record, path.parent)
+            done += 1
+    except OSError as error:
+        raise StoreError(f"{path} cannot be read ({error}): check the name and permissions") from error
+    except (ValueError, KeyError, TypeError, AttributeError, PositionError, csv.Error) as error:
+        raise StoreError(f"{path}, photo {done + 1}: {error}; correct it, or leave it out") from error
+
+
+def _csv_records(path: Path) -> Iterator[Record]:
+    with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
+        table = csv.DictReader(file, strict=True, restval="")
+        names = [name.strip().lower() for name in table.fieldnames or []]
+        if names.count("path") != 1:
+            raise ValueError(f"it needs one column 'path', but has {', '.join(names) or 'none'}")
+        table.fieldnames = names
+        for record in table:
+            if None in record:
+                raise ValueError("it has more fields than the first line (put names with commas in quotes)")
+            yield record
+
+
+def _geojson_records(path: Path) -> Iterable[Record]:
+    told = json.loads(path.read_text(encoding="utf-8"))
+    return (_flat(feature) for feature in told["features"])
+
+
+def _flat(feature: Record) -> Record:
+    record, point = dict(feature["properties"]), feature["geometry"]
+    if point is not None:
+        record["lon"], record["lat"], *_ = point["coordinates"]
+    return record
+
+
+def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
+    path, time = record["path"], record.get("time")
+    if not isinstance(path, str) or not path or "\0" in path:
+        raise ValueError(f"{path!r} is no file's name")
+    lat, lon, heading = (_degrees(record.get(name), name) for name in _DEGREES)
+    if (lat is None) != (lon is None):
+        raise ValueError(f"{path} has a latitude or a longitude, but not both")
+    where = GeoPoint(lat, lon) if lat is not None and lon is not None else None
+    when = time if isinstance(time, datetime) else datetime.fromisoformat(time) if time else None
+    turned = heading if heading is None or 0 <= heading <= 360 else heading % 360
+    return Photo(folder / path, where, turned, when), record.get("identity") or None
+
+
+def _degrees(value: object, name: str) -> float | None:
+    if value is None or value == "":
+        return None
+    try:
+        number = float(str(value))
+    except ValueError:
+        raise ValueError(f"{name} {value!r} is not a number of degrees") from None
+    if math.isnan(number):  # as pandas writes what is not known
+        return None
+    if not abs(number) <= 1e6:
+        raise ValueError(f"{name} {value!r} is not a number of degrees")
+    return number
+
+
+_KIND = "salad export"
+_MODEL, _DESCRIPTORS, _PHOTOS = "model.json", "descriptors.npy", "photos"
+_TABLES = (".csv", ".parquet", ".geojson")
+_COMMIT = 1 << 24  # numbers taken in with one commit
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Whose descriptors a folder holds: the model's name and fingerprint, and numbers in a descriptor."""
+
+    model: str
+    fingerprint: str
+    dim: int
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """How many photos were written, and which were not, since their descriptors are damaged or lost."""
+
+    photos: int
+    damaged: list[Path]
+
+
+# --- out -----------------------------------------------------------------------------------
+
+
+def export(
+    index: Index,
+    folder: str | Path,
+    *,
+    form: Form = "csv",
+    dtype: Literal["float16", "float32"] = "float16",
+) -> Exported:
+    """Write an index's descriptors and photos for other tools; memory stays small.
+
+    Args:
+        index: What to write; another program may add to it meanwhile.
+        folder: Where to; it must not exist or be empty, and appears whole or not at all.
+        form: Of the table of photos.
+        dtype: Of the descriptors; as float32 they are the same numbers, in twice the room.
+
+    Raises:
+        StoreError: If the folder is in use or cannot be written, or the index is compacted meanwhile.
+        MissingExtraError: If Parquet is asked for, and what writes it is not installed.
+    """
+    target = Path(os.path.realpath(folder))
+    damaged: list[Path] = []
+    with index_folder.drafted(target, "export") as draft:
+        told = {"kind": _KIND, **asdict(Source(index.model, index.fingerprint, index.dim))}
+        (draft / _MODEL).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        with (
+            writer(draft / f"{_PHOTOS}.{form}") as put,
+            Writer(draft / _DESCRIPTORS, dim=index.dim, dtype=dtype) as file,
+        ):
+            for page in index.pages():
+                put(page.photos, page.identities)
+                file.write(page.descriptors)
+                damaged += page.damaged
+    return Exported(file.rows, damaged)
+
+
+# --- in ------------------------------------------------------------------------------------
+
+
+def model_of(folder: str | Path, *, name: str | None = None) -> Source:
+    """Whose descriptors a folder holds.
+
+    Another tool's folder does not say; then `name` tells the model, and stands, with the dimension, for its
+    fingerprint.
+
+    Raises:
+        StoreError: If the folder holds no descriptors, does not say of which model and no name is given, or
+            is damaged.
+    """
+    found = _matrix_in(Path(folder))
+    told = Path(folder, _MODEL)
+    if told.exists():
+        source = _told(told)
+        if source.dim != found.dim:
+            raise StoreError(
+                f"{told} says descriptors of {source.dim} numbers, but {found.path} holds {found.dim}: export again"
+            )
+        return source
+    if not name:
+        raise StoreError(f"{folder} does not say which model its descriptors are of: name it with --model")
+    return Source(name, _fingerprint(name, found.dim), found.dim)
+
+
+def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
+    """Take in the descriptors and photos of a folder: an export's, or another tool's `.npy` and table.
+
+    The table has a line for each row, in order, with the columns `path` and, where known, `lat`, `lon`,
+    `heading`, `time`. A photo whose file is not on this machine goes by its path instead of its content. Rows
+    must have length 1: what was measured with others is another likeness than the index's. Interrupted, it
+    goes on when called again.
+
+    Args:
+        index: Where to.
+        folder: Where from.
+        model: The model that made them, where the folder does not say; who names the index's own vouches
+            for it.
+
+    Returns:
+        How many photos were new.
+
+    Raises:
+        WrongModelError: If the descriptors are of another model than the index's.
+        StoreError: If the folder cannot be read, or makes no sense; nothing of it was added.
+    """
+    _check_model(index, Path(folder), model)
+    rows, table = _matrix_in(Path(folder)), _table_in(Path(folder))
+    photos = sum(1 for _ in read(table))
+    if photos != rows.rows:
+        raise StoreError(
+            f"{table} lists {photos} photos, but {rows.path} holds {rows.rows} descriptors: they must be as many, "
+            "in the same order"
+        )
+    _check_lengths(rows)
+    lines, added = read(table), 0
+    for some in rows.blocks(numbers=_COMMIT):
+        page = list(islice(lines, len(some)))
+        contents = [told or _content(photo) for photo, told in page]
+        added += index.add([photo for photo, _ in page], some, identities=contents)
+    return added
+
+
+def _check_model(index: Index, folder: Path, model: str | None) -> None:
+    source = model_of(folder, name=model or index.model)
+    vouched = model == index.model and not (folder / _MODEL).exists() and source.dim == index.dim
+    if source.fingerprint != index.fingerprint and not vouched:
+        raise wrong_model(index, folder, source.model, source.fingerprint)
+
+
+def wrong_model(index: Index, folder: Path, model: str, fingerprint: str) -> WrongModelError:
+    """The sentence for descriptors in `folder` that are of another model than the index's."""
+    return WrongModelError(
+        f"{index.folder} was made with {index.model} ({index.fingerprint}), but {folder} holds descriptors of "
+        f"{model} ({fingerprint}): take them into an index of their own"
+    )
+
+
+def _told(path: Path) -> Source:
+    try:
+        fields = json.loads(path.read_text(encoding="utf-8"))
+        source = Source(fields["model"], fields["fingerprint"], fields["dim"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise _damaged(path) from error
+    whole = isinstance(source.model, str) and isinstance(source.fingerprint, str)
+    if fields.get("kind") != _KIND or not whole or not isinstance(source.dim, int):
+        raise _damaged(path)
+    return source
+
+
+def _damaged(path: Path) -> StoreError:
+    return StoreError(
+        f"{path} is damaged or not of a salad export: export again, or delete it and name --model"
+    )
+
+
+def _fingerprint(name: str, dim: int) -> str:
+    return f"foreign-{hashlib.blake2b(f'{dim} {name}'.encode(), digest_size=8).hexdigest()}"
+
+
+def _matrix_in(folder: Path) -> Matrix:
+    return Matrix.open(_one_of(folder, (".npy",), Path(_DESCRIPTORS).stem, "descriptors"))
+
+
+def _table_in(folder: Path) -> Path:
+    return _one_of(folder, _TABLES, _PHOTOS, "a table of photos")
+
+
+def _one_of(folder: Path, endings: Sequence[str], ours: str, what: str) -> Path:
+    """The file named as we name it, else the only one with such an ending."""
+    try:
+        found = sorted(file for file in folder.iterdir() if file.suffix.lower() in endings)
+    except OSError as error:
+        raise StoreError(
+            f"{folder} cannot be read ({error.strerror}): give the folder of an export"
+        ) from error
+    found = [file for file in found if file.stem == ours] or found
+    if len(found) != 1:
+        raise StoreError(
+            f"{folder} holds {len(found) or 'no'} files that could be {what} ({', '.join(endings)}): it must hold one"
+        )
+    return found[0]
+
+
+def _check_lengths(rows: Matrix) -> None:
+    start = 0
+    for block in rows.blocks():
+        with np.errstate(all="ignore"):
+            lengths = np.linalg.norm(block.astype(np.float32), axis=1)
+        bad = (~(np.abs(lengths - 1) <= vectors.UNIT_TOLERANCE)).nonzero()[0]
+        if len(bad):
+            raise StoreError(
+                f"{rows.path}, row {start + bad[0]}: its length is {lengths[bad[0]]:g}, not 1; divide each row by "
+                "its length (rows / numpy.linalg.norm(rows, axis=1, keepdims=True)), if the model's likeness is "
+                "the cosine"
+            )
+        start += len(block)
+
+
+def _content(photo: Photo) -> str:
+    """What tells the photo from others: its file's content or, where there is no such file, its path."""
+    try:
+        return content_hash(photo.path)
+    except PhotoError:
+        path = os.fsencode(os.path.realpath(photo.path))
+        return hashlib.blake2b(b"no file: " + path, digest_size=16).hexdigest()
+
+
+# --- One index into another: photos with the descriptors they have, each content once ---
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """What `merge` did.
+
+    Attributes:
+        added: Photos that are new in the index.
+        held: Photos whose content it held already.
+        other: Photos left out since the index holds another content at their path.
+        damaged: Photos left out since their descriptors are damaged or lost.
+    """
+
+    added: int
+    held: int
+    other: list[Path]
+    damaged: list[Path]
+
+
+def merge(into: Index, other: Index) -> Merged:
+    """Take the photos of another index of the same model; each content is held once.
+
+    A content both hold keeps its place in `into`, which learns what only the other knows of it. Where both
+    have a photo at one path with different contents, `into` keeps its own. Interrupted, it goes on when
+    called again.
+
+    Raises:
+        WrongModelError: If they are of different models.
+        StoreError: If `into` cannot be written, or `other` is compacted meanwhile.
+    """
+    if other.fingerprint != into.fingerprint:
+        raise wrong_model(into, other.folder, other.model, other.fingerprint)
+    added, held, left, damaged = 0, 0, list[Path](), list[Path]()
+    for page in other.pages():
+        known = into.find(page.identities)
+        taken = into.taken([photo.path for photo in page.photos])
+        news = list(zip(page.photos, page.identities, strict=True))
+        fresh = [n for n, (photo, i) in enumerate(news) if i not in known and photo.path not in taken]
+        added += into.add(
+            [page.photos[n] for n in fresh],
+            page.descriptors[fresh],
+            identities=[page.identities[n] for n in fresh],
+        )
+        _learn(into, known, news)
+        held += len(known)
+        left += [photo.path for photo, i in news if i not in known and photo.path in taken]
+        damaged += page.damaged
+    return Merged(added, held, left, damaged)
+
+
+def _learn(into: Index, known: dict[str, Photo], news: Sequence[tuple[Photo, str]]) -> None:
+    """Tell `into` what only the other index knows of the photos both hold."""
+    filled = {
+        i: replace(
+            known[i],
+            where=known[i].where or photo.where,
+            heading=photo.heading if known[i].heading is None else known[i].heading,
+            time=known[i].time or photo.time,
+        )
+        for photo, i in news
+        if i in known
+    }
+    more = [i for i, photo in filled.items() if photo != known[i]]
+    if more:
+        into.update([filled[i] for i in more], more)

@@ -1,0 +1,178 @@
+"""Photos in, places out: each is described, searched for and voted on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from salad.errors import PhotoError
+from salad.images.workers import Here, Pixels, in_order, reader_for, workers
+from salad.index.index import Index
+from salad.index.search import Match
+from salad.localize.voting import GENERIC, RADIUS_M, Place, Voting, vote
+from salad.network.config import Calibration
+
+if TYPE_CHECKING:
+    from salad.index.filters import Filter
+    from salad.models.describer import Describes
+    from salad.network.config import Preprocessing
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A query, its place, and what that rests on.
+
+    Attributes:
+        query: The photo.
+        place: Where it was taken; None where unknown.
+        matches: The photos of the index most like it, best first.
+        others: Places that came after, the heaviest first; where the place is unknown, the one that was not
+            sure enough leads them.
+    """
+
+    query: Path
+    place: Place | None
+    matches: list[Match]
+    others: list[Place] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """This answer as JSON holds it; null for what is unknown, times in ISO 8601."""
+        return {
+            "query": str(self.query),
+            "place": self.place.as_dict() if self.place else None,
+            "matches": [_match_dict(match) for match in self.matches],
+            "others": [place.as_dict() for place in self.others],
+        }
+
+
+def calibration_of(model: Describes) -> Calibration:
+    """What the model's scores are worth; a generic guess where nobody has measured that."""
+    own = getattr(model, "calibration", None)  # not every describer has one
+    return own if isinstance(own, Calibration) else GENERIC
+
+
+def locate(
+    query: str | Path,
+    *,
+    index: Index,
+    model: Describes,
+    k: int = 5,
+    where: Filter | None = None,
+    radius_m: float = RADIUS_M,
+    min_confidence: float | None = None,
+    voting: Voting = vote,
+) -> Answer:
+    """Where a photo was taken.
+
+    Args:
+        query: The photo.
+        index: The photos whose places are known.
+        model: The model the index was made with.
+        k: How many matches vote.
+        where: Which photos of the index may be found; all where not given.
+        radius_m: How far apart, in metres, matches may be and still mean one place.
+        min_confidence: A place less sure than this is unknown; the model's own limit where not given.
+        voting: How matches become places.
+
+    Raises:
+        PhotoError: If the photo cannot be read.
+        WrongModelError: If the index was made with another model.
+    """
+    return next(
+        locate_many(
+            [Path(query)],
+            index=index,
+            model=model,
+            k=k,
+            where=where,
+            radius_m=radius_m,
+            min_confidence=min_confidence,
+            voting=voting,
+        )
+    )
+
+
+def locate_many(
+    queries: Sequence[Path],
+    *,
+    index: Index,
+    model: Describes,
+    k: int = 5,
+    where: Filter | None = None,
+    radius_m: float = RADIUS_M,
+    min_confidence: float | None = None,
+    voting: Voting = vote,
+    batch_size: int = 16,
+    on_unreadable: Callable[[str], None] | None = None,
+) -> Iterator[Answer]:
+    """Where photos were taken, one answer after another in the order of the queries; memory stays small.
+
+    Args:
+        queries: The photos.
+        index: The photos whose places are known.
+        model: The model the index was made with.
+        k: How many matches vote.
+        where: Which photos of the index may be found; all where not given.
+        radius_m: How far apart, in metres, matches may be and still mean one place.
+        min_confidence: A place less sure than this is unknown; the model's own limit where not given.
+        voting: How matches become places.
+        batch_size: Photos the model takes at a time.
+        on_unreadable: Called with a sentence for each photo that cannot be read, which then has no answer;
+            where not given, the first such photo raises.
+
+    Raises:
+        PhotoError: If a photo cannot be read and `on_unreadable` is not given.
+        WrongModelError: If the index was made with another model.
+    """
+    index.check_model(model)
+    by = calibration_of(model)
+    least = by.min_confidence if min_confidence is None else min_confidence
+    to = model.preprocessing
+    with workers() as pool, reader_for(len(queries)) as reader:
+        decoded = in_order(pool, lambda path: _decoded(reader, path, to), queries, ahead=2 * batch_size)
+        readable = _readable(decoded, on_unreadable)
+        while batch := list(islice(readable, batch_size)):
+            descriptors = model.describe([pixels for _, pixels in batch], batch_size=batch_size)
+            found = index.search(descriptors, k=k, where=where, centred=by.centred)
+            for (query, _), matches in zip(batch, found, strict=True):
+                yield _answer(query, matches, voting(matches, radius_m=radius_m, calibration=by), least)
+
+
+def _answer(query: Path, matches: list[Match], places: list[Place], least: float) -> Answer:
+    if places and places[0].confidence >= least:
+        return Answer(query, places[0], matches, places[1:])
+    return Answer(query, None, matches, places)
+
+
+def _decoded(reader: Here, path: Path, to: Preprocessing) -> tuple[Path, Pixels | PhotoError]:
+    try:
+        return path, reader.decode(path, to.height, to.width, to.resample)
+    except PhotoError as error:
+        return path, error
+
+
+def _readable(
+    decoded: Iterable[tuple[Path, Pixels | PhotoError]], on_unreadable: Callable[[str], None] | None
+) -> Iterator[tuple[Path, Pixels]]:
+    for path, pixels in decoded:
+        if not isinstance(pixels, PhotoError):
+            yield path, pixels
+        elif on_unreadable is None:
+            raise pixels
+        else:
+            on_unreadable(str(pixels))
+
+
+def _match_dict(match: Match) -> dict[str, Any]:
+    photo = match.photo
+    return {
+        "path": str(photo.path),
+        "score": match.score,
+        "lat": photo.where.lat if photo.where else None,
+        "lon": photo.where.lon if photo.where else None,
+        "heading": photo.heading,
+        "time": photo.time.isoformat() if photo.time else None,
+    }

@@ -1,1 +1,0 @@
-"""The model: photo -> tokens -> plan -> descriptor."""

@@ -1,0 +1,1 @@
+"""A model in use: photos -> descriptors; folders on disk, the zoo, fetching."""

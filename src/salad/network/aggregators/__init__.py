@@ -1,0 +1,1 @@
+"""Tokens -> descriptor: one file for each way to do it."""

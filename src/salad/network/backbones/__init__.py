@@ -1,0 +1,1 @@
+"""Pixels -> tokens: one file for each kind of backbone."""

@@ -1,0 +1,276 @@
+"""A whole model as data: a backbone, an aggregator, how photos are prepared for them, how sure it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from salad.errors import ModelError
+from salad.network.aggregator_config import AggregatorConfig, as_settings, from_settings
+
+# --- What cuts a photo into tokens, as data ---
+
+
+ConvNextSize = Literal["tiny", "base"]
+LiteKind = Literal["lite0", "lite2"]
+
+
+@dataclass(frozen=True, slots=True)
+class ViTConfig:
+    """A DINOv2 vision transformer.
+
+    Args:
+        width: numbers in a token (d).
+        depth: how many blocks.
+        heads: attention heads; DINOv2's own have width / 64.
+        patch: side of a patch in pixels.
+        grid: side of the square grid the position embeddings were learnt on.
+        registers: register tokens between the class token and the patches (0 or 4).
+        swiglu: whether the blocks' perceptron is the giant model's SwiGLU.
+    """
+
+    width: int
+    depth: int
+    heads: int
+    patch: int = 14
+    grid: int = 37
+    registers: int = 0
+    swiglu: bool = False
+    kind: Literal["vit"] = "vit"
+
+
+@dataclass(frozen=True, slots=True)
+class LiteConfig:
+    """The trunk of EfficientNet-Lite0 or Lite2, cut after `blocks` of its 16 or 21 blocks.
+
+    The last cut of stride 16 is after 11 blocks of Lite0 (112 channels) and after 15 of Lite2 (120 channels).
+    """
+
+    blocks: int = 11
+    kind: LiteKind = "lite0"
+
+
+@dataclass(frozen=True, slots=True)
+class ResNetConfig:
+    """ResNet-50's trunk, cut after `stages` of its 4 stages (3 of them: stride 16, 1024 channels).
+
+    Raises:
+        ModelError: there is no such stage.
+    """
+
+    stages: int = 3
+    kind: Literal["resnet50"] = "resnet50"
+
+    def __post_init__(self) -> None:
+        _check_stages("ResNet-50", self.stages)
+
+
+@dataclass(frozen=True, slots=True)
+class ConvNextConfig:
+    """ConvNeXt's trunk, cut after `stages` of its 4 stages (3 of them: stride 16; 384 channels, the base 512).
+
+    Raises:
+        ModelError: there is no such size or stage.
+    """
+
+    size: ConvNextSize = "tiny"
+    stages: int = 3
+    kind: Literal["convnext"] = "convnext"
+
+    def __post_init__(self) -> None:
+        _check_stages("ConvNeXt", self.stages)
+        if self.size not in get_args(ConvNextSize):
+            raise ModelError(
+                f"size {self.size!r} of ConvNeXt is unknown: give {' or '.join(get_args(ConvNextSize))}"
+            )
+
+
+def _check_stages(name: str, stages: object) -> None:
+    if not isinstance(stages, int) or not 1 <= stages <= 4:
+        raise ModelError(f"stages is {stages!r}, but {name} has 1 to 4")
+
+
+BackboneConfig = ViTConfig | LiteConfig | ResNetConfig | ConvNextConfig
+
+BACKBONE_KINDS: dict[str, Any] = {
+    "vit": ViTConfig,
+    "lite0": LiteConfig,
+    "lite2": LiteConfig,
+    "resnet50": ResNetConfig,
+    "convnext": ConvNextConfig,
+}
+
+VITS: dict[str, ViTConfig] = {
+    "vits14": ViTConfig(width=384, depth=12, heads=6),
+    "vitb14": ViTConfig(width=768, depth=12, heads=12),
+    "vitl14": ViTConfig(width=1024, depth=24, heads=16),
+    "vitg14": ViTConfig(width=1536, depth=40, heads=24, swiglu=True),
+}
+"""DINOv2's four sizes."""
+
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+Resample = Literal["bilinear", "bicubic"]
+
+
+@dataclass(frozen=True, slots=True)
+class Preprocessing:
+    """How a photo becomes the model's input: squeezed (never cropped) to one size, then normalised.
+
+    Args:
+        height: pixels.
+        width: pixels.
+        mean: per channel, of values in 0..1.
+        std: per channel, of values in 0..1.
+        resample: `bilinear` or `bicubic`, both antialiased.
+    """
+
+    height: int = 322
+    width: int = 322
+    mean: tuple[float, float, float] = IMAGENET_MEAN
+    std: tuple[float, float, float] = IMAGENET_STD
+    resample: Resample = "bilinear"
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a model's scores are worth, learnt on photos of places that the model never saw.
+
+    The confidence in a place is 1 / (1 + exp(-z)), where
+    z = bias + top * its best score + gap * that score's lead on the best elsewhere
+    - spread * how far all matches scatter + share * its share of all matches' weight.
+    No weight is negative, so better evidence never lowers it. docs/calibration.md tells more.
+
+    The defaults stand in for a model nobody has calibrated: they order places sensibly, but are no probabilities.
+
+    Args:
+        sharpness: a match weighs exp(sharpness * score).
+        bias: z of no evidence at all.
+        top: weight of the best score.
+        gap: weight of the lead.
+        spread: weight of the scatter, which lowers the confidence.
+        share: weight of the share.
+        radius: factor on the radius of a place, so that it holds the truth in 90 of 100 answers.
+        min_confidence: a place of less is unknown.
+        provenance: which photos these numbers were fitted on.
+        centred: whether the scores are those that leave out what all photos of the index have in common; photos are
+            searched for by such scores then.
+
+    Raises:
+        ModelError: a number is not finite, or out of its range.
+    """
+
+    sharpness: float = 20.0
+    bias: float = -6.0
+    top: float = 6.0
+    gap: float = 10.0
+    spread: float = 2.0
+    share: float = 4.0
+    radius: float = 1.0
+    min_confidence: float = 0.5
+    provenance: str = ""
+    centred: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.centred, bool):
+            raise ModelError(f"centred of the calibration is {self.centred!r}: give true or false")
+        numbers = {
+            name: value for name, value in self.as_dict().items() if name not in ("centred", "provenance")
+        }
+        for name, value in numbers.items():
+            real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if not real or (value < 0 and name != "bias"):
+                raise ModelError(
+                    f"{name} of the calibration is {value!r}: give a finite number, none below 0"
+                )
+        if self.radius == 0 or self.min_confidence > 1:
+            raise ModelError(
+                f"the calibration's radius {self.radius} must be above 0, its min_confidence "
+                f"{self.min_confidence} at most 1"
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """This calibration as JSON holds it; `centred`, which came after the others, only where it is so."""
+        settings = dataclasses.asdict(self)
+        if not self.centred:
+            del settings["centred"]
+        return settings
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Calibration:
+        """Read what `as_dict` wrote.
+
+        Raises:
+            ModelError: a number is missing, unknown or out of its range.
+        """
+        known = {field.name for field in dataclasses.fields(cls)}
+        if not isinstance(data, dict) or {"centred", *data} != known:
+            raise ModelError(f"a calibration holds {', '.join(sorted(known))}, nothing else and nothing less")
+        return cls(**data)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelConfig:
+    """A whole model: what it is made of, how photos are prepared for it, where it comes from, how sure it is."""
+
+    name: str
+    backbone: BackboneConfig
+    aggregator: AggregatorConfig
+    preprocessing: Preprocessing = field(default_factory=Preprocessing)
+    provenance: str = ""
+    licence: str = ""
+    calibration: Calibration | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """This configuration as JSON holds it; a model nobody has calibrated says nothing of that."""
+        settings = {**dataclasses.asdict(self), "aggregator": as_settings(self.aggregator)}
+        if self.calibration is None:
+            del settings["calibration"]
+        else:
+            settings["calibration"] = self.calibration.as_dict()
+        return settings
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> ModelConfig:
+        """Read what `as_dict` wrote.
+
+        Raises:
+            ModelError: a part is missing, of an unknown kind, or has settings this version does not know.
+        """
+        try:
+            rest = dict(data)
+            backbone = _backbone(rest.pop("backbone"))
+            aggregator = from_settings(rest.pop("aggregator"))
+            preprocessing = _preprocessing(rest.pop("preprocessing"))
+            if rest.get("calibration") is not None:
+                rest["calibration"] = Calibration.from_dict(rest["calibration"])
+            return cls(backbone=backbone, aggregator=aggregator, preprocessing=preprocessing, **rest)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ModelError(
+                f"the model's configuration cannot be read ({error}); "
+                "it may be damaged or written by a newer version of salad"
+            ) from error
+
+
+def _backbone(settings: dict[str, Any]) -> BackboneConfig:
+    kind = settings.get("kind")
+    if kind not in BACKBONE_KINDS:
+        raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(BACKBONE_KINDS)}")
+    config: BackboneConfig = BACKBONE_KINDS[kind](**settings)
+    return config
+
+
+def _preprocessing(settings: dict[str, Any]) -> Preprocessing:
+    plain = dict(settings)
+    mean, std = (tuple(plain.pop(key)) for key in ("mean", "std"))
+    if len(mean) != 3 or len(std) != 3 or not min(std) > 0 or not all(map(math.isfinite, mean + std)):
+        raise ValueError("mean and std need three numbers each, std above 0")
+    found = Preprocessing(mean=mean, std=std, **plain)
+    if not all(isinstance(side, int) and side > 0 for side in (found.height, found.width)):
+        raise ValueError("height and width are whole pixels, at least 1")
+    if found.resample not in get_args(Resample):
+        raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
+    return found

@@ -1,0 +1,93 @@
+"""Where a run takes place: one process, or one for each device of each machine."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+import torch
+
+from salad._version import __version__
+from salad.errors import MissingExtraError, ModelError
+from salad.training.recipe import Precision
+
+_TOLD = ("lightning-fabric", "pytorch-metric-learning", "kornia", "numpy")
+
+
+def launched(accelerator: str, precision: Precision, *, devices: int = 1, nodes: int = 1) -> Any:
+    """A Fabric whose processes run: this one, and with several devices one more for each of the others.
+
+    The others are this very command started again, so they come to this line by themselves.
+
+    Args:
+        accelerator: Fabric's word for where to run: `auto`, `cpu`, `gpu`, `mps`.
+        precision: Fabric's word for how numbers are held.
+        devices: devices of this machine; on `cpu`, processes.
+        nodes: machines, on each of which the command was started.
+
+    Raises:
+        MissingExtraError: the `train` extra is not installed.
+        ModelError: there is no such accelerator here, or not so many devices.
+    """
+    try:
+        from lightning_fabric import Fabric
+        from lightning_fabric.strategies.ddp import DDPStrategy
+    except ImportError as error:
+        raise MissingExtraError("training", "train") from error
+    many = devices * nodes > 1
+    try:
+        # Buffers are alike in every process from the start; sending them along at each part would only tie
+        # processes together that may have one part more or less.
+        strategy = DDPStrategy(broadcast_buffers=False) if many else "auto"
+        fabric = Fabric(
+            accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision, strategy=strategy
+        )
+        if many:
+            fabric.launch()
+    except Exception as error:  # Fabric's, torch's and each device's own kinds
+        said = str(error).strip().splitlines() or [type(error).__name__]
+        raise ModelError(
+            f"training cannot run on {devices} of {accelerator!r} on {nodes} machine(s): {said[0]}"
+        ) from error
+    return fabric
+
+
+def rank() -> int:
+    """Which of all processes this one is, from 0 on, as far as Fabric has started any."""
+    try:
+        from lightning_fabric.utilities.rank_zero import rank_zero_only
+    except ImportError:  # nobody can have started another
+        return 0
+    return int(getattr(rank_zero_only, "rank", 0))
+
+
+def first_process() -> bool:
+    """Whether this process is the one that speaks and writes."""
+    return rank() == 0
+
+
+def share_of(total: int, rank: int, ranks: int) -> slice:
+    """Which of `total` things one of several processes takes: all of them taken once, none more than one apart."""
+    return slice(total * rank // ranks, total * (rank + 1) // ranks)
+
+
+def step_seed(seed: int, step: int, rank: int = 0) -> int:
+    """What seeds everything random of one step in one process; the ranks of a step differ from each other."""
+    return seed * 1_000_003 + step if rank == 0 else stirred(seed, step, rank)
+
+
+def stirred(*numbers: int) -> int:
+    """One seed from several numbers, unlike that of any others."""
+    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0])
+
+
+def versions() -> dict[str, str]:
+    """What a run is made with, for whoever wants to repeat it."""
+    told = {"salad": __version__, "torch": torch.__version__}
+    for package in _TOLD:
+        try:
+            told[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return told

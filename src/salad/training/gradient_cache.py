@@ -1,0 +1,95 @@
+"""The gradient of a batch that is too large to pass through the model at once.
+
+A loss over pairs needs all descriptors together, but a descriptor needs only its own photo. So the batch is described
+in parts without gradients; the loss gives the gradient at the descriptors; then each part is described once more, now
+with gradients, and passes its share of that on to the weights. The sum is the gradient of the whole batch, in the
+memory of a part. Source: Gao et al., "Scaling Deep Contrastive Learning Batch Size under Memory Limited Setup" (2021).
+
+Over several processes the descriptors of all are gathered before the loss, so a batch is one batch however many
+devices share it: every process has the same loss, and the mean of their gradients is that of the whole batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from salad.network.tokens import Tokens
+from salad.training.devices import share_of, stirred
+from salad.training.optim import Objective
+
+Part = Float[Tensor, "batch 3 height width"] | Tokens
+"""What is described at once: normalised photos, or the tokens of as many."""
+
+
+def learn(
+    fabric: Any,
+    module: nn.Module,
+    *,
+    parts: Sequence[Part],
+    labels: Int64[Tensor, " batch"],
+    objective: Objective,
+    seed: int,
+) -> Float[Tensor, ""]:
+    """Add the gradient of a batch's loss to the weights of `module`.
+
+    Args:
+        fabric: the run's Fabric.
+        module: what describes a part, set up by `fabric`.
+        parts: this process's share of the batch (`share_of`), in one part or more.
+        labels: which place each photo of the whole batch shows, the shares one after another.
+        objective: descriptors and labels -> loss.
+        seed: of what is random within the parts of this process, so that a part is described twice alike.
+
+    Returns:
+        The loss, the same in every process; not a number where a descriptor is none.
+    """
+    if len(parts) == 1:  # a batch that fits is described once
+        described = [module(parts[0]).float()]
+    else:
+        with torch.no_grad():
+            described = [_seeded(module, part, seed, number) for number, part in enumerate(parts)]
+    loss, pull = _pull(fabric, torch.cat([part.detach() for part in described]), labels, objective)
+    shares = torch.split(pull, [len(part) for part in described])
+    for number, (part, share) in enumerate(zip(parts, shares, strict=True)):
+        with fabric.no_backward_sync(module, enabled=number + 1 < len(parts)):
+            once = described[0] if len(parts) == 1 else _seeded(module, part, seed, number)
+            fabric.backward(once, gradient=share)
+    return loss
+
+
+def _seeded(module: nn.Module, part: Part, seed: int, number: int) -> Float[Tensor, "part dim"]:
+    torch.manual_seed(stirred(seed, number))  # the same hidden numbers are dropped both times
+    described: Tensor = module(part).float()
+    return described
+
+
+def _pull(
+    fabric: Any, mine: Float[Tensor, "share dim"], labels: Int64[Tensor, " batch"], objective: Objective
+) -> tuple[Float[Tensor, ""], Float[Tensor, "share dim"]]:
+    """The loss of all processes' descriptors, and its gradient at this one's."""
+    everyone = _gathered(fabric, mine, len(labels)).detach().requires_grad_()
+    loss = objective(everyone, labels)
+    (pull,) = torch.autograd.grad(loss, everyone)
+    ranks = fabric.world_size
+    # The processes' gradients are averaged later, while the batch's is their sum.
+    own = pull[share_of(len(labels), fabric.global_rank, ranks)] * ranks
+    # A miner finds no pair among descriptors that are no numbers, and calls that a loss of nothing.
+    sound = everyone.detach().isfinite().all()
+    return torch.where(sound, loss.detach(), torch.nan), own
+
+
+def _gathered(fabric: Any, mine: Float[Tensor, "share dim"], total: int) -> Float[Tensor, "total dim"]:
+    """Every process's descriptors in the order of the batch; shares may differ by one."""
+    ranks = fabric.world_size
+    if ranks == 1:
+        return mine
+    most = -(-total // ranks)
+    rows = fabric.all_gather(F.pad(mine, (0, 0, 0, most - len(mine))))
+    shares = [share_of(total, rank, ranks) for rank in range(ranks)]
+    return torch.cat([each[: share.stop - share.start] for each, share in zip(rows, shares, strict=True)])

@@ -1,0 +1,98 @@
+"""What moves the weights: AdamW with a rate for the head and one for the backbone, and how the rates go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+
+from salad.errors import MissingExtraError, ModelError
+from salad.models.describer import Describer
+from salad.training.recipe import Recipe
+
+
+def optimizer_of(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
+    """AdamW over all weights that want gradients; each group knows its full rate as `rate`.
+
+    Raises:
+        ModelError: no weight wants any.
+    """
+    groups = [
+        {"params": [weight for weight in part.parameters() if weight.requires_grad], "rate": rate}
+        for part, rate in ((model.aggregator, recipe.head_rate), (model.backbone, recipe.trunk_rate))
+    ]
+    groups = [group for group in groups if group["params"]]
+    if not groups:
+        raise ModelError(
+            f"the model {model.name} has nothing to train: its aggregator has no weights and its backbone is "
+            "frozen; give tuned_blocks 1 or more and no head_steps"
+        )
+    return torch.optim.AdamW(groups, weight_decay=recipe.weight_decay)
+
+
+def rate_factor(step: int, steps: int, recipe: Recipe) -> float:
+    """What the learning rate is multiplied by at a step of its stage: up, then linearly down, then level."""
+    rising = min(1.0, (step + 1) / max(1, recipe.warmup))
+    gone = step / max(1, recipe.decay_over or steps)
+    return rising * (1 - (1 - recipe.last) * min(1.0, gone))
+
+
+def set_rates(optimizer: torch.optim.Optimizer, factor: float) -> None:
+    """Multiply each group's full rate by `factor`."""
+    for group in optimizer.param_groups:
+        group["lr"] = group["rate"] * factor
+
+
+@torch.no_grad()
+def drift(mean: nn.Module, towards: nn.Module, *, decay: float, step: int) -> None:
+    """Let a running mean of weights follow those of a step: it wanders less than they do.
+
+    Args:
+        mean: what follows.
+        towards: what is followed.
+        decay: share of the mean that stays; 0 makes it a copy.
+        step: steps made so far; a young mean soon forgets its start.
+    """
+    stays = min(decay, step / (step + 10))
+    for old, new in zip(mean.parameters(), towards.parameters(), strict=True):
+        old.lerp_(new, 1 - stays)
+    for kept, now in zip(mean.buffers(), towards.buffers(), strict=True):
+        kept.copy_(now)
+
+
+# --- The multi-similarity loss on the pairs worth learning from, as the paper sets it ---
+#
+# Source: Wang et al., "Multi-Similarity Loss with General Pair Weighting for Deep Metric Learning", CVPR 2019.
+
+
+Objective = Callable[[Float[Tensor, "batch dim"], Int64[Tensor, " batch"]], Float[Tensor, ""]]
+
+
+def multi_similarity(
+    *, alpha: float = 1.0, beta: float = 50.0, base: float = 0.0, margin: float = 0.1
+) -> Objective:
+    """Descriptors and the place each shows -> loss.
+
+    Args:
+        alpha: weight of pairs of one place.
+        beta: weight of pairs of two places.
+        base: similarity at which a pair is content.
+        margin: the miner keeps a pair that is within this of the hardest one of the other kind.
+
+    Raises:
+        MissingExtraError: pytorch-metric-learning is not installed.
+    """
+    try:
+        from pytorch_metric_learning import distances, losses, miners
+    except ImportError as error:
+        raise MissingExtraError("training", "train") from error
+    loss = losses.MultiSimilarityLoss(alpha, beta, base, distance=distances.DotProductSimilarity())
+    miner = miners.MultiSimilarityMiner(margin, distance=distances.CosineSimilarity())
+
+    def objective(descriptors: Tensor, labels: Tensor) -> Tensor:
+        value: Tensor = loss(descriptors, labels, miner(descriptors, labels))
+        return value
+
+    return objective

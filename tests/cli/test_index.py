@@ -1,0 +1,160 @@
+"""`salad index` over the life of a folder of photos: vanished files, interrupts, what other tools wrote."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from salad.index.index import Index
+from salad.index.transfer import export
+from salad.models.fake import FakeDescriber
+
+MODEL = FakeDescriber(dim=256, name="salad-lite")
+
+
+def held(folder: Path) -> list[str]:
+    with Index.open(folder) as index:
+        return sorted(photo.path.name for photo in index.photos())
+
+
+@pytest.fixture
+def home(photos: Any, tmp_path: Path) -> Path:
+    """A folder of six photos that a test may change."""
+    return Path(shutil.copytree(photos.references, tmp_path / "home"))
+
+
+def test_what_vanished_is_told_and_kept(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    city = tmp_path / "city"
+    cli("index", home, "--to", city)
+    gone = sorted(home.iterdir())[:2]
+    for path in gone:
+        path.unlink()
+    ran = cli("index", home, "--to", city)
+    assert ran.code == 0
+    for path in gone:
+        assert f"{path} is gone: --prune drops it from the index" in ran.err
+    assert "it holds 6" in ran.err
+    assert len(held(city)) == 6
+
+
+def test_what_vanished_is_dropped_with_prune(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    city = tmp_path / "city"
+    cli("index", home, "--to", city)
+    gone, moved, *others = sorted(home.iterdir())
+    gone.unlink()
+    moved.rename(home / "moved.jpg")
+    ran = cli("index", home, "--to", city, "--prune")
+    assert f"{gone} is gone: it was dropped" in ran.err
+    assert "0 photos added, 5 there already, 0 unreadable; it holds 5" in ran.err
+    assert held(city) == sorted([*(path.name for path in others), "moved.jpg"])
+    assert "is gone" not in cli("index", home, "--to", city, "--prune").err
+
+
+def test_only_the_folders_given_are_pruned(
+    cli: Any, asked: Any, photos: Any, home: Path, tmp_path: Path
+) -> None:
+    city, other = tmp_path / "city", tmp_path / "home too"
+    shutil.copytree(photos.queries, other)
+    cli("index", home, other, "--to", city)
+    for folder in (home, other):
+        sorted(folder.iterdir())[0].unlink()
+    single = sorted(home.iterdir())[0]
+    assert "is gone" not in cli("index", single, "--to", city, "--prune").err
+    ran = cli("index", "-", "--to", city, "--prune", stdin=f"{home}\n")
+    assert ran.err.count("is gone") == 1
+    assert len(held(city)) == 11
+
+
+def test_a_long_list_of_the_vanished_is_cut(
+    cli: Any, asked: Any, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("salad.cli.shell._NAMED", 2)
+    cli("index", home, "--to", tmp_path / "city")
+    for path in sorted(home.iterdir())[:5]:
+        path.unlink()
+    ran = cli("index", home, "--to", tmp_path / "city", "--prune")
+    assert ran.err.count("is gone: it was dropped") == 2
+    assert "and 3 more are gone" in ran.err
+    assert len(held(tmp_path / "city")) == 1
+
+
+def test_an_empty_folder_prunes_nothing(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    cli("index", home, "--to", tmp_path / "city")
+    for path in home.iterdir():
+        path.unlink()
+    ran = cli("index", home, "--to", tmp_path / "city", "--prune")  # a disk that is not there looks like this
+    assert ran.code == 2
+    assert "holds no photos" in ran.err
+    assert len(held(tmp_path / "city")) == 6
+
+
+def test_an_interrupt_says_how_far_it_got(
+    cli: Any, asked: Any, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    describe, calls = FakeDescriber.describe, []
+
+    def tired(self: FakeDescriber, *arguments: Any, **settings: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return describe(self, *arguments, **settings)
+
+    monkeypatch.setattr(FakeDescriber, "describe", tired)
+    command = ("index", home, "--to", tmp_path / "city", "--batch-size", 2)
+    ran = cli(*command)
+    assert ran.code == 130
+    assert "4 of 6 photos were done; it holds 4" in ran.err
+    assert "interrupted" in ran.err
+    assert "2 photos added, 4 there already" in cli(*command).err
+
+
+# --- --from --------------------------------------------------------------------------------
+
+
+def test_an_export_comes_back_whole(
+    cli: Any, asked: list[str], home: Path, photos: Any, tmp_path: Path
+) -> None:
+    cli("index", home, "--to", tmp_path / "city")
+    with Index.open(tmp_path / "city") as index:
+        export(index, tmp_path / "out")
+    asked.clear()
+    ran = cli("index", "--from", tmp_path / "out", "--to", tmp_path / "again")
+    assert (ran.code, asked) == (0, [])  # nothing is described, so no model is loaded
+    assert "6 photos added" in ran.err
+    with Index.open(tmp_path / "city") as one, Index.open(tmp_path / "again") as two:
+        assert one.fingerprint == two.fingerprint
+        assert list(one.photos()) == list(two.photos())
+    again = cli("index", "--from", tmp_path / "out", "--to", tmp_path / "again")
+    assert (again.code, "0 photos added" in again.err) == (0, True)
+    found = cli("locate", photos.query[0], "--index", tmp_path / "again", "--format", "json")
+    assert found.code == 0
+
+
+def test_from_and_photos_are_not_mixed(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    ran = cli("index", home, "--from", tmp_path, "--to", tmp_path / "city")
+    assert ran.code == 2
+    assert "leave out PHOTOS" in ran.err
+    assert not (tmp_path / "city").exists()
+
+
+def test_what_cannot_be_taken_leaves_no_index(cli: Any, asked: Any, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    command = ("index", "--from", tmp_path / "out", "--to", tmp_path / "city", "--model", "other")
+    assert cli(*command).code == 2
+    np.save(tmp_path / "out" / "d.npy", np.eye(3, 8, dtype=np.float32))
+    (tmp_path / "out" / "photos.csv").write_text("path,lat,lon\na.jpg,1,2\n", encoding="utf-8")
+    ran = cli(*command)
+    assert ran.code == 2
+    assert "as many" in ran.err
+    assert not (tmp_path / "city").exists()
+
+
+def test_an_index_that_was_there_stays(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    cli("index", home, "--to", tmp_path / "city")
+    (tmp_path / "out").mkdir()
+    assert cli("index", "--from", tmp_path / "out", "--to", tmp_path / "city").code == 2
+    assert len(held(tmp_path / "city")) == 6

@@ -1,0 +1,128 @@
+"""MATLAB files: what SciPy writes comes out as SciPy reads it; what is damaged is a sentence."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from salad.datasets import matlab
+from salad.datasets.matlab import read_struct
+from salad.errors import BenchmarkError
+
+TOLD: dict[str, Any] = {
+    "whichSet": "test",
+    "dbImageFns": ["000/a.jpg", "000/bé.jpg", "c"],
+    "utmDb": np.arange(6.0).reshape(2, 3),
+    "posDistThr": 25.0,
+    "inner": {"x": "y"},
+}
+
+
+def check(read: dict[str, Any]) -> None:
+    assert list(read) == list(TOLD)
+    assert read["whichSet"] == "test"
+    assert read["dbImageFns"] == TOLD["dbImageFns"]
+    assert np.array_equal(read["utmDb"], TOLD["utmDb"])
+    assert read["posDistThr"].tolist() == [[25.0]]
+    assert read["inner"] == {"x": "y"}
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_both_orders_packed_or_not(tmp_path: Path, fakes: ModuleType, order: str, packed: bool) -> None:
+    path = tmp_path / "a.mat"
+    path.write_bytes(fakes.mat_file(TOLD, order=order, packed=packed))
+    check(read_struct(path, "dbStruct"))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_as_scipy_writes_it(tmp_path: Path, packed: bool) -> None:
+    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
+    cells = np.empty((3, 1), dtype=object)
+    cells[:, 0] = TOLD["dbImageFns"]
+    told = TOLD | {"dbImageFns": cells, "small": np.array([[1, 2]], dtype=np.uint8), "none": np.zeros((0, 0))}
+    scipy_io.savemat(tmp_path / "a.mat", {"other": 3, "dbStruct": told}, do_compression=packed)
+    read = read_struct(tmp_path / "a.mat", "dbStruct")
+    assert read.pop("small").tolist() == [[1.0, 2.0]]
+    assert read.pop("none").size == 0
+    check(read)
+
+
+def test_scipy_reads_our_fakes(tmp_path: Path, fakes: ModuleType) -> None:
+    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
+    for order in "<>":
+        read = scipy_io.loadmat(io.BytesIO(fakes.mat_file(TOLD, order=order)))["dbStruct"].item()
+        assert read[0].item() == "test"
+        assert [cell.item() for cell in read[1].ravel()] == TOLD["dbImageFns"]
+        assert np.array_equal(read[2], TOLD["utmDb"])
+
+
+def test_refusals(tmp_path: Path, fakes: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.mat"
+    with pytest.raises(BenchmarkError, match=r"a\.mat cannot be read"):
+        read_struct(path, "dbStruct")
+    path.write_bytes(b"MATLAB 7.3".ljust(200))
+    with pytest.raises(BenchmarkError, match=r"version 5 .* how it is written"):
+        read_struct(path, "dbStruct")
+    path.write_bytes(fakes.mat_file(TOLD, name="other"))
+    with pytest.raises(BenchmarkError, match="no structure called dbStruct"):
+        read_struct(path, "dbStruct")
+    path.write_bytes(fakes.mat_file([1.0]))
+    with pytest.raises(BenchmarkError, match="no structure called dbStruct"):
+        read_struct(path, "dbStruct")
+    deep: Any = "x"
+    for _ in range(20):
+        deep = [deep]
+    path.write_bytes(fakes.mat_file({"a": deep}))
+    with pytest.raises(BenchmarkError, match="without end"):
+        read_struct(path, "dbStruct")
+    path.write_bytes(fakes.mat_file(TOLD, packed=True))
+    monkeypatch.setattr(matlab, "_MOST", 64)
+    with pytest.raises(BenchmarkError, match="unpacks to more"):
+        read_struct(path, "dbStruct")
+
+
+def told(path: Path) -> str | None:
+    """The sentence a file is refused with; anything else goes through."""
+    try:
+        read_struct(path, "dbStruct")
+    except BenchmarkError as error:
+        return str(error)
+    return None
+
+
+def test_what_is_not_read_is_passed_over(tmp_path: Path) -> None:
+    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
+    sparse = pytest.importorskip("scipy.sparse", reason="scipy writes the files to compare with")
+    told = {"a": 1.0, "odd": sparse.csc_matrix(np.eye(2)), "b": np.array([3], dtype=np.int16)}
+    scipy_io.savemat(tmp_path / "a.mat", {"dbStruct": told})
+    read = read_struct(tmp_path / "a.mat", "dbStruct")
+    assert (read["odd"], read["b"].tolist()) == (None, [[3.0]])
+
+
+@settings(max_examples=300)
+@given(
+    packed=st.booleans(),
+    edits=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=5),
+    cut=st.one_of(st.just(0), st.integers(0, 600)),
+)
+def test_damage_is_a_sentence(
+    tmp_path_factory: pytest.TempPathFactory,
+    fakes: ModuleType,
+    packed: bool,
+    edits: list[tuple[int, int]],
+    cut: int,
+) -> None:
+    data = bytearray(fakes.mat_file(TOLD, packed=packed))
+    for place, value in edits:
+        data[place % len(data)] = value
+    path = tmp_path_factory.mktemp("mat") / "a.mat"
+    path.write_bytes(data[: len(data) - cut % len(data)])
+    assert told(path) is None or "a.mat" in str(told(path))

@@ -1,0 +1,168 @@
+"""A second evaluation describes nothing; what is damaged or cut short counts for nothing."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from safetensors.numpy import load_file
+
+from salad.datasets.benchmark import Benchmark
+from salad.errors import BenchmarkError
+from salad.evaluation import descriptors
+from salad.evaluation.descriptors import Cache, Described
+from salad.evaluation.evaluate import evaluate
+from salad.images.photo import Photo
+from salad.models.fake import FakeDescriber
+
+
+@dataclass(frozen=True)
+class Counting(FakeDescriber):
+    """Counts the photos it describes."""
+
+    seen: list[str] = field(default_factory=list)
+
+    def describe(self, photos: Sequence[Any], *, batch_size: int = 16) -> Any:
+        self.seen.extend(Path(photo).name for photo in photos)
+        return super().describe(photos, batch_size=batch_size)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Benchmark:
+    rng, sides = np.random.default_rng(0), []
+    for side, count in (("r", 7), ("q", 4)):
+        sides.append([Photo(tmp_path / side / f"{number}.png") for number in range(count)])
+        (tmp_path / side).mkdir()
+        for photo in sides[-1]:
+            Image.fromarray(rng.integers(0, 255, (24, 24, 3), dtype=np.uint8)).save(photo.path)
+    shutil.copy(tmp_path / "r" / "3.png", tmp_path / "r" / "5.png")  # two files of one content
+    return Benchmark("b", "frames ±0", *sides, [np.array([number]) for number in range(4)])
+
+
+@pytest.mark.parametrize("photos", [1, 3, 1000])
+def test_the_second_time_nothing_is_described(
+    drive: Benchmark, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos: int
+) -> None:
+    monkeypatch.setattr(descriptors, "_PHOTOS", photos)
+    plain = evaluate(drive, FakeDescriber())
+    first, second = Counting(), Counting()
+    one = evaluate(drive, first, cache=tmp_path / "cache", batch_size=2)
+    two = evaluate(drive, second, cache=tmp_path / "cache")
+    assert len(first.seen) == 10  # eleven photos, of which two are one
+    assert second.seen == []
+    for result in (one, two):
+        assert result.recall == plain.recall
+        for ours, due in zip(result.verdicts, plain.verdicts, strict=True):
+            assert ours.matches == due.matches
+            assert ours.scores == pytest.approx(due.scores, rel=1e-6)
+
+
+def test_files_are_safetensors_and_nothing_else_is_left(drive: Benchmark, tmp_path: Path) -> None:
+    model = FakeDescriber(dim=5)
+    Cache(tmp_path / "cache", Described(model, batch_size=4)).sides(drive.references, drive.queries)
+    (path,) = (tmp_path / "cache").rglob("*.*")
+    assert path.parent.name == model.fingerprint
+    held = load_file(path)
+    assert held["contents"].shape == (10, 16)
+    paths = [photo.path for photo in (*drive.references, *drive.queries) if photo.path.name != "5.png"]
+    assert held["descriptors"] == pytest.approx(model.describe(paths), abs=1e-6)
+
+
+def test_rows_come_in_the_order_of_the_photos_whatever_the_block(drive: Benchmark, tmp_path: Path) -> None:
+    model = FakeDescriber(dim=3)
+    Cache(tmp_path, Described(model, batch_size=16)).sides(drive.queries, drive.references[4:])
+    shuffled = [drive.references[row] for row in (5, 0, 3, 6, 1, 1, 2)]
+    rows, _ = Cache(tmp_path, Described(model, batch_size=16)).sides(shuffled, drive.queries)
+    due = model.describe([photo.path for photo in shuffled])
+    for numbers in (1, 6, 999):
+        assert np.concatenate(list(rows.blocks(numbers=numbers))) == pytest.approx(due, abs=1e-6)
+    assert (rows.rows, rows.dim) == (7, 3)
+
+
+def test_a_changed_photo_and_another_model_are_described(drive: Benchmark, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    evaluate(drive, Counting(), cache=cache)
+    other = Counting(seed=1)
+    evaluate(drive, other, cache=cache)
+    assert len(other.seen) == 10
+    Image.new("RGB", (30, 30), (9, 200, 9)).save(drive.queries[2].path)
+    again = Counting()
+    seen: list[tuple[int, int]] = []
+    evaluate(drive, again, cache=cache, progress=lambda done, total: seen.append((done, total)))
+    assert again.seen == ["2.png"]
+    assert seen[-1] == (11, 11)
+
+
+@pytest.mark.parametrize("harm", ["flip", "cut", "empty", "head", "grow", "other"])
+def test_a_damaged_file_counts_for_nothing(drive: Benchmark, tmp_path: Path, harm: str) -> None:
+    cache = tmp_path / "cache"
+    due = evaluate(drive, Counting(), cache=cache)
+    (path,) = cache.rglob("*.safetensors")
+    content = bytearray(path.read_bytes())
+    if harm == "flip":
+        content[-9] ^= 64
+    elif harm == "cut":
+        del content[-40:]
+    elif harm == "empty":
+        content.clear()
+    elif harm == "head":
+        content[:8] = (1 << 60).to_bytes(8, "little")
+    elif harm == "grow":
+        content += b"x"
+    else:
+        content[8:12] = b"[1]]"
+    path.write_bytes(bytes(content))
+    again = Counting()
+    result = evaluate(drive, again, cache=cache)
+    assert len(again.seen) == 10
+    assert [one.matches for one in result.verdicts] == [one.matches for one in due.verdicts]
+    third = Counting()
+    evaluate(drive, third, cache=cache)
+    assert third.seen == []  # it was written anew
+
+
+def test_what_was_described_before_an_end_stays(
+    drive: Benchmark, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(descriptors, "_PHOTOS", 2)
+    hole = replace(drive, queries=[*drive.queries[:3], Photo(tmp_path / "gone.png")])
+    with pytest.raises(BenchmarkError, match=r"no figure.*gone\.png"):
+        evaluate(hole, Counting(), cache=tmp_path / "cache")
+    again = Counting()
+    evaluate(drive, again, cache=tmp_path / "cache")
+    assert len(again.seen) <= 3
+    assert not list((tmp_path / "cache").rglob(".*"))
+
+
+def test_a_cache_that_cannot_be(drive: Benchmark, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(BenchmarkError, match="cannot be used"):
+        evaluate(drive, FakeDescriber(), cache=tmp_path / "file")
+
+
+def test_a_file_that_is_gone_while_it_is_read(drive: Benchmark, tmp_path: Path) -> None:
+    rows, _ = Cache(tmp_path / "cache", Described(FakeDescriber(), batch_size=4)).sides(
+        drive.references, drive.queries
+    )
+    (path,) = (tmp_path / "cache").rglob("*.safetensors")
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(BenchmarkError, match="cut short while"):
+        list(rows.blocks(numbers=10))
+    path.unlink()
+    with pytest.raises(BenchmarkError, match="cannot be read"):
+        list(rows.blocks(numbers=10))
+
+
+def test_a_disk_that_takes_nothing(drive: Benchmark, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(descriptors, "write_whole", full)
+    with pytest.raises(BenchmarkError, match="No space left"):
+        evaluate(drive, FakeDescriber(), cache=tmp_path / "cache")

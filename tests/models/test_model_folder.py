@@ -1,0 +1,294 @@
+"""Weights on disk: our folder both ways, published files read strictly, nothing hostile run, nothing half-written."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from salad.errors import ModelError, WeightsError
+from salad.models import model_folder
+from salad.models.describer import Describer, build
+from salad.models.model_folder import load, read_folder, read_tensors, write_folder
+from salad.network.aggregator_config import SaladConfig, SceneConfig
+from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
+
+LITE = ModelConfig(
+    "tiny",
+    LiteConfig(blocks=1),
+    SaladConfig(16, clusters=2, cluster_dim=3, scene_dim=4, hidden=5),
+    Preprocessing(24, 24, mean=(0, 0, 0), std=(1, 1, 1)),
+    provenance="a test",
+    licence="CC0",
+)
+VIT = ModelConfig("vit", ViTConfig(16, 1, 2, grid=2), SceneConfig(16))
+
+
+@pytest.fixture
+def model() -> Describer:
+    return build(LITE, seed=3)
+
+
+@pytest.fixture
+def folder(model: Describer, tmp_path: Path) -> Path:
+    return write_folder(model, tmp_path / "own")
+
+
+def _hub(path: Path, **more: Any) -> Path:
+    torch.save(build(VIT).backbone.state_dict() | more, path)
+    return path
+
+
+def test_a_folder_brings_back_the_same_model(model: Describer, folder: Path) -> None:
+    assert sorted(path.name for path in folder.iterdir()) == ["config.json", "model.safetensors"]
+    again = load(folder)
+    assert again.config == model.config
+    assert again.fingerprint == model.fingerprint
+    assert not again.training
+    torch.testing.assert_close(again.state_dict(), model.state_dict(), rtol=0, atol=0)
+    assert load(str(folder)).fingerprint == model.fingerprint
+
+
+def test_a_folder_of_halves_brings_back_the_rounded_weights(model: Describer, tmp_path: Path) -> None:
+    folder = write_folder(model, tmp_path / "deep" / "half", dtype=torch.float16)
+    stored = load_file(folder / "model.safetensors")
+    counts = {key for key in stored if key.endswith("num_batches_tracked")}
+    assert counts
+    assert {stored[key].dtype for key in counts} == {torch.int64}
+    assert {stored[key].dtype for key in stored.keys() - counts} == {torch.float16}
+    again = load(folder)
+    rounded = {key: value.half().to(value.dtype) for key, value in model.state_dict().items()}
+    torch.testing.assert_close(again.state_dict(), rounded, rtol=0, atol=0)
+    model.load_state_dict(rounded)
+    assert again.fingerprint == model.fingerprint
+
+
+def test_what_is_there_already_is_not_overwritten(model: Describer, folder: Path) -> None:
+    before = (folder / "model.safetensors").read_bytes()
+    with pytest.raises(WeightsError, match="own exists already; choose another"):
+        write_folder(build(LITE, seed=9), folder)
+    assert (folder / "model.safetensors").read_bytes() == before
+    other = build(LITE, seed=9)
+    assert load(write_folder(other, folder, overwrite=True)).fingerprint == other.fingerprint
+    assert [path.name for path in folder.parent.iterdir()] == ["own"]
+
+
+def test_even_overwrite_takes_only_a_model_away(model: Describer, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.jpg").write_bytes(b"dear")
+    with pytest.raises(WeightsError, match="exists already"):
+        write_folder(model, tmp_path / "photos", overwrite=True)
+    assert (tmp_path / "photos" / "a.jpg").read_bytes() == b"dear"
+
+
+@pytest.mark.parametrize("error", [OSError("no space left"), SafetensorError("no space left")])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_failure_leaves_nothing_half_written(
+    model: Describer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, overwrite: bool
+) -> None:
+    to = tmp_path / "own"
+    if overwrite:
+        write_folder(model, to)
+
+    def fail(_: object, path: Path) -> None:
+        path.write_bytes(b"half")
+        raise error
+
+    monkeypatch.setattr(model_folder, "save_file", fail)
+    with pytest.raises(WeightsError, match=r"own: no space left"):
+        write_folder(build(LITE, seed=9), to, overwrite=overwrite)
+    assert [path.name for path in tmp_path.iterdir()] == (["own"] if overwrite else [])
+    if overwrite:
+        assert load(to).fingerprint == model.fingerprint
+
+
+def test_a_parent_that_is_a_file_is_a_sentence(model: Describer, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(WeightsError, match="cannot be written to"):
+        write_folder(model, tmp_path / "file" / "own")
+
+
+@pytest.mark.parametrize("lost", ["config.json", "model.safetensors"])
+def test_a_folder_without_its_files_is_no_model(folder: Path, lost: str) -> None:
+    (folder / lost).unlink()
+    with pytest.raises(WeightsError, match=f"own is not a model: it holds no {lost}"):
+        load(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "cannot be read"),
+        ("[1, 2]", "cannot be read"),
+        ("3", "cannot be read"),
+        ("{}", "cannot be read"),
+        ('{"format": 1}', "cannot be read"),
+        ('{"format": 99}', "has format 99, this salad reads 1: upgrade"),
+        (b"\xff\xfe", "cannot be read"),
+    ],
+)
+def test_a_damaged_config_is_a_sentence(folder: Path, text: str | bytes, said: str) -> None:
+    (folder / "config.json").write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(WeightsError, match=rf"config\.json.*{said}"):
+        load(folder)
+
+
+@pytest.mark.parametrize(
+    ("part", "setting", "value"),
+    [
+        ("backbone", "blocks", "many"),
+        ("backbone", "blocks", 0),
+        ("aggregator", "width", 17),
+        ("aggregator", "clusters", -1),
+        ("aggregator", "dropout", 7),
+        ("aggregator", "hidden", None),
+    ],
+)
+def test_a_config_of_no_model_that_can_be_built_is_a_sentence(
+    folder: Path, part: str, setting: str, value: object
+) -> None:
+    data = json.loads((folder / "config.json").read_text())
+    data[part][setting] = value
+    (folder / "config.json").write_text(json.dumps(data))
+    with pytest.raises(WeightsError, match=r"model\.safetensors does not describe a model that can be built"):
+        load(folder)
+
+
+def test_a_config_of_another_shape_is_told_by_tensor(folder: Path) -> None:
+    data = json.loads((folder / "config.json").read_text())
+    data["aggregator"]["clusters"] = 3
+    (folder / "config.json").write_text(json.dumps(data))
+    with pytest.raises(
+        WeightsError, match=r"of another shape: aggregator\.score\.3\.bias, aggregator\.score"
+    ):
+        load(folder)
+
+
+@pytest.mark.parametrize("cut", [0, 5, 200, -7])
+def test_damaged_safetensors_are_a_sentence(folder: Path, cut: int) -> None:
+    path = folder / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(WeightsError, match=r"model\.safetensors is no safetensors file that can be read"):
+        load(folder)
+
+
+def test_missing_and_unknown_tensors_are_listed(folder: Path, tmp_path: Path) -> None:
+    path = folder / "model.safetensors"
+    tensors = load_file(path)
+    del tensors["aggregator.dustbin"], tensors["aggregator.scene.0.bias"]
+    save_file({**tensors, "aggregator.extra": torch.zeros(1)}, path)
+    with pytest.raises(
+        WeightsError,
+        match=r"missing: aggregator\.dustbin, aggregator\.scene\.0\.bias; unknown: aggregator\.extra",
+    ):
+        read_folder(folder)
+
+
+def test_a_published_file_is_read_strictly(tmp_path: Path) -> None:
+    assert load(_hub(tmp_path / "a.pth"), heads=2).config.name == "a"
+    assert load(_hub(tmp_path / "b.pth", mask_token=torch.zeros(1, 16)), heads=2).dim == 16
+    with pytest.raises(WeightsError, match=r"c\.pth does not fit .*; unknown: backbone\.head\.weight"):
+        load(_hub(tmp_path / "c.pth", **{"head.weight": torch.zeros(1)}), heads=2)
+    cut = build(VIT).backbone.state_dict()
+    del cut["norm.bias"]
+    torch.save(cut, tmp_path / "d.pth")
+    with pytest.raises(WeightsError, match=r"d\.pth does not fit .*; missing: backbone\.norm\.bias"):
+        load(tmp_path / "d.pth", heads=2)
+
+
+def test_a_file_of_strange_tensors_is_named(tmp_path: Path) -> None:
+    torch.save({"fc.weight": torch.zeros(2, 2)}, tmp_path / "resnet.pth")
+    with pytest.raises(WeightsError, match=r"resnet\.pth: its tensors \(fc\.weight .*belong to no layout"):
+        load(tmp_path / "resnet.pth")
+
+
+@pytest.mark.parametrize("heads", [3, -2])
+def test_heads_that_cannot_be_are_a_sentence(tmp_path: Path, heads: int) -> None:
+    with pytest.raises(WeightsError, match=rf"a\.pth .*{heads} attention heads do not divide a width of 16"):
+        load(_hub(tmp_path / "a.pth"), heads=heads)
+
+
+def test_a_published_file_comes_as_safetensors_too(tmp_path: Path) -> None:
+    save_file(build(VIT).backbone.state_dict(), tmp_path / "a.safetensors")
+    torch.save({"state_dict": build(VIT).backbone.state_dict(), "epoch": 3}, tmp_path / "a.ckpt")
+    prints = {load(tmp_path / name, heads=2).fingerprint for name in ("a.safetensors", "a.ckpt")}
+    assert prints == {build(VIT).fingerprint}
+
+
+class Hostile:
+    """What unpickling would run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.system, (f"echo harm > '{self.path}'",)
+
+
+@pytest.mark.parametrize("where", ["whole", "state_dict", "hyper_parameters", "plain"])
+def test_hostile_pickles_are_refused_and_not_run(tmp_path: Path, where: str) -> None:
+    harm, path = tmp_path / "harm", tmp_path / "a.ckpt"
+    fine: dict[str, Any] = {"state_dict": build(VIT).backbone.state_dict()}
+    if where == "plain":
+        path.write_bytes(pickle.dumps(Hostile(harm)))
+    else:
+        torch.save(Hostile(harm) if where == "whole" else fine | {where: Hostile(harm)}, path)
+    with pytest.raises(WeightsError, match=r"a\.ckpt is no file of weights that can be read safely"):
+        load(path)
+    assert not harm.exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04broken"])
+def test_a_file_of_no_weights_is_a_sentence(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.pth").write_bytes(content)
+    with pytest.raises(WeightsError, match=r"a\.pth is no file of weights"):
+        load(tmp_path / "a.pth")
+
+
+@pytest.mark.parametrize("content", [[torch.zeros(1)], {"cls_token": 3}, torch.zeros(2), {"state_dict": [1]}])
+def test_what_is_not_named_tensors_is_a_sentence(tmp_path: Path, content: object) -> None:
+    torch.save(content, tmp_path / "a.pth")
+    with pytest.raises(WeightsError, match=r"a\.pth holds something else than named tensors"):
+        read_tensors(tmp_path / "a.pth")
+
+
+def test_a_name_nobody_knows_lists_those_there_are() -> None:
+    with pytest.raises(WeightsError, match=r"no model 'dino-salat'.*salad-lite.*dinov2-salad"):
+        load("dino-salat")
+
+
+@pytest.mark.parametrize("device", ["banana", "cpu:x", "xpu:99"])
+def test_a_device_that_is_not_here_is_a_sentence(folder: Path, device: str) -> None:
+    with pytest.raises(ModelError, match=f"the device '{device}' cannot be used here"):
+        load(folder, device=device)
+
+
+def test_a_device_may_be_torchs_own_word(folder: Path) -> None:
+    assert load(folder, device=torch.device("cpu")).device == torch.device("cpu")
+
+
+def test_zoo_names_lead_to_fetched_files_and_bundled_folders(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where nothing has a model's name
+    files = {"salad-lite": folder, "dinov2-vits14": _hub(tmp_path / "fetched.pth")}
+    monkeypatch.setattr(model_folder.hub, "fetch", lambda name: files[name])
+    assert load("salad-lite").config == dataclasses.replace(LITE)
+    published = load("dinov2-vits14", heads=2)
+    assert (published.name, published.config.provenance) == ("dinov2-vits14", "fetched.pth, layout hub")
+
+
+def test_whoever_may_read_the_config_may_read_the_weights(tmp_path: Path) -> None:
+    folder = write_folder(
+        build(ModelConfig("tiny", LiteConfig(blocks=1), SceneConfig(16))), tmp_path / "model"
+    )
+    modes = {path.stat().st_mode & 0o777 for path in folder.iterdir()}
+    assert len(modes) == 1
