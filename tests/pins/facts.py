@@ -22,25 +22,8 @@ from typing import Any
 import torch
 
 import salad
-from pins.where import (
-    AGGREGATOR_KINDS,
-    AGGREGATORS,
-    BACKBONE_KINDS,
-    PRESETS,
-    RECORDED,
-    Calibration,
-    LiteConfig,
-    ModelConfig,
-    Preprocessing,
-    Preset,
-    Recipe,
-    find_places,
-    salad_says,
-    shape,
-    street,
-    train,
-)
-from pins.where import SaladConfig as Salad
+from pins import where
+from pins.where import RECORDED, ModelConfig, Preprocessing, Recipe, salad_says, shape, street
 
 SHIPPED = {
     "salad-lite": "ea968928572f4e59",
@@ -83,12 +66,12 @@ def _default(told: str) -> str:
 
 def settings() -> dict[str, Any]:
     """Every setting of a model and of a run, with its default as JSON would hold it."""
-    kinds = {**{f"aggregator {kind}": one for kind, one in AGGREGATOR_KINDS.items()}}
-    kinds |= {f"backbone {kind}": one for kind, one in BACKBONE_KINDS.items()}
+    kinds: dict[str, Any] = {f"aggregator {kind}": one for kind, one in where.AGGREGATOR_KINDS.items()}
+    kinds |= {f"backbone {kind}": one for kind, one in where.BACKBONE_KINDS.items()}
     kinds |= {
         "model": ModelConfig,
         "preprocessing": Preprocessing,
-        "calibration": Calibration,
+        "calibration": where.Calibration,
         "recipe": Recipe,
     }
     return {
@@ -105,22 +88,19 @@ def _plain(field: dataclasses.Field[Any]) -> Any:
 
 def written() -> dict[str, Any]:
     """How each named aggregator is written down, wide and narrow; a setting that came later only where it is set."""
-    told: dict[str, Any] = {}
-    for width in (120, 768):
-        for name, made in AGGREGATORS.items():
-            told[f"{name} {width}"] = ModelConfig(name, LiteConfig(), made(width)).as_dict()["aggregator"]
-    later = Salad(120, dustbin_share=0.35)
-    told["dustbin_share"] = ModelConfig(
-        "later", LiteConfig(), later, calibration=Calibration(centred=True)
-    ).as_dict()
-    return told
+    of = {f"{name} {width}": made(width) for width in (120, 768) for name, made in where.AGGREGATORS.items()}
+    of["later"] = where.SaladConfig(120, dustbin_share=0.35)
+    by = where.Calibration(centred=True)
+    return {
+        name: ModelConfig(name, where.LiteConfig(), one, calibration=by).as_dict() for name, one in of.items()
+    }
 
 
 def presets() -> dict[str, Any]:
     """What `salad train` makes without another word."""
     return {
         name: {"start": one.start, "model": one.model.as_dict(), "recipe": dataclasses.asdict(one.recipe)}
-        for name, one in PRESETS.items()
+        for name, one in where.PRESETS.items()
     }
 
 
@@ -131,11 +111,11 @@ def models() -> dict[str, Any]:
     """The configurations that ship, and the names, shapes and types of their weights."""
     told: dict[str, Any] = {}
     for name in SHIPPED:
-        model = salad.load(name)
-        weights = {key: f"{list(one.shape)} {one.dtype}" for key, one in sorted(model.state_dict().items())}
+        config, held = where.shipped(name)
+        weights = {key: f"{list(one.shape)} {one.dtype}" for key, one in sorted(held.items())}
         digest = hashlib.sha256(json.dumps(weights).encode()).hexdigest()
         told[name] = {
-            "config": model.config.as_dict(),
+            "config": config,
             "count": len(weights),
             "weights": weights if name == "salad-lite" else digest,
         }
@@ -227,11 +207,11 @@ def _columns(text: str) -> list[str]:
 
 STOPPED = Path(__file__).with_name("stopped")
 """A run of four steps that was killed after two, with the photos it learnt from no longer there."""
-TINY = Preset(
+TINY = where.Preset(
     ModelConfig(
         "tiny",
-        LiteConfig(blocks=1),
-        Salad(16, clusters=4, cluster_dim=3, scene_dim=4, hidden=8, dustbin_share=0.35),
+        where.LiteConfig(blocks=1),
+        where.SaladConfig(16, clusters=4, cluster_dim=3, scene_dim=4, hidden=8, dustbin_share=0.35),
         Preprocessing(32, 32),
     ),
     start="",
@@ -262,7 +242,7 @@ def teach(to: Path, *, photos: Path, stop_after: int | None = None, **options: A
             street(place, seed=number, side=36).save(photos / f"place {place}" / f"{number}.png")
     quiet: dict[str, Any] = {"accelerator": "cpu", "say": lambda _: None, "progress": progress}
     with suppress(KeyboardInterrupt):
-        train(TINY, find_places(photos), to=to, **quiet | options)
+        where.train(TINY, where.find_places(photos), to=to, **quiet | options)
 
 
 def run() -> dict[str, Any]:

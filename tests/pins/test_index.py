@@ -18,7 +18,7 @@ import pytest
 
 import salad
 from pins.city import CITY, MODEL, NAMES, answers, descriptors, make, photos, queries
-from pins.where import StoreError, recorded, salad_says, street
+from pins.where import recorded, salad_says, street
 
 COLUMNS = ["path", "lat", "lon", "heading", "time", "identity"]
 
@@ -146,15 +146,3 @@ def test_what_is_damaged_is_passed_over_and_named(city: Path) -> None:
         for row in (0, 2, 3, 5):
             assert any(NAMES[row] in sentence for sentence in told), row
         assert index.compact().kept == 7
-
-
-def test_bad_questions_are_refused(city: Path) -> None:
-    wrong = np.zeros((2, 48), dtype=np.float32)
-    wrong[1, 3] = np.nan
-    with salad.Index.open(city) as index:
-        for asked, k in ((wrong, 1), (np.zeros((1, 47)), 1), (np.zeros((1, 48)), 0)):
-            with pytest.raises(StoreError):
-                index.search(asked, k=k)
-        with pytest.raises(salad.SaladError):
-            index.add([salad.Photo(Path("/photos/m.jpg"))], wrong[1:], identities=["e" * 32])
-        assert len(index) == 11

@@ -200,3 +200,7 @@ def test_descriptors_from_outside(tmp_path: Path, dtype: type, length: float) ->
     verdicts = json.loads(saved.read_text(encoding="utf-8"))["verdicts"]
     wide = [[one[name] for one in verdicts] for name in ("matches", "scores")]
     same((np.array(wide[0]), np.array(wide[1])), (order, scores), within=1e-6)
+    references[7, 1] = np.nan
+    np.save(files[0], references)
+    broken = salad_says("evaluate", *folders, "--frames", "2", "--descriptors", *files)
+    assert (broken.code, "row 7" in broken.err) == (2, True)

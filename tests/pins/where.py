@@ -4,13 +4,14 @@ The pins hold behaviour that must outlive every move of a module. They go throug
 what neither shows is imported here and nowhere else, so that whoever moves a module edits this one file.
 """
 
+# ruff: noqa: F401  # most of what is imported here is for the other pins
 from __future__ import annotations
 
 import io
 import json
 import os
-from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -18,6 +19,7 @@ from unittest import mock
 import numpy as np
 from PIL import Image
 
+import salad
 from salad.cli import main
 from salad.config import (
     AGGREGATOR_KINDS,
@@ -30,37 +32,21 @@ from salad.config import (
     SaladConfig,
 )
 from salad.data.places import find_places
-from salad.errors import BenchmarkError, StoreError
+from salad.errors import BenchmarkError
 from salad.evaluation.ranking import Held, nearest
 from salad.index.filters import Filter
 from salad.model.fake import FakeDescriber
 from salad.train.loop import train
 from salad.train.recipe import PRESETS, Preset, Recipe
 
-__all__ = [
-    "AGGREGATORS",
-    "AGGREGATOR_KINDS",
-    "BACKBONE_KINDS",
-    "PRESETS",
-    "BenchmarkError",
-    "Calibration",
-    "FakeDescriber",
-    "Filter",
-    "Held",
-    "LiteConfig",
-    "ModelConfig",
-    "Preprocessing",
-    "Preset",
-    "Recipe",
-    "SaladConfig",
-    "StoreError",
-    "find_places",
-    "nearest",
-    "train",
-]
-
 RECORDED = Path(__file__).with_name("recorded")
 """What was so on the day the pins were made. Right by definition: formats that others hold files of are frozen."""
+
+
+def shipped(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The configuration of a model that ships, as JSON holds it, and its weights by their names."""
+    model = salad.load(name)
+    return model.config.as_dict(), model.state_dict()
 
 
 class Ran(NamedTuple):
@@ -115,15 +101,8 @@ def shape(value: Any) -> Any:
             merged[name] = _either(merged[name], shape(one)) if name in merged else shape(one)
         return merged
     if isinstance(value, list):
-        return {"each": _all_of(map(shape, value))}
+        return {"each": reduce(_either, map(shape, value)) if value else None}
     return "null" if value is None else type(value).__name__
-
-
-def _all_of(shapes: Iterable[Any]) -> Any:
-    whole: Any = None
-    for one in shapes:
-        whole = one if whole is None else _either(whole, one)
-    return whole
 
 
 def _either(one: Any, other: Any) -> Any:
