@@ -21,7 +21,6 @@ from typing import Any
 
 import torch
 
-import salad
 from pins import where
 from pins.where import RECORDED, ModelConfig, Preprocessing, Recipe, salad_says, shape, street
 

@@ -20,24 +20,16 @@ import numpy as np
 from PIL import Image
 
 import salad
-from salad.cli import main
-from salad.config import (
-    AGGREGATOR_KINDS,
-    AGGREGATORS,
-    BACKBONE_KINDS,
-    Calibration,
-    LiteConfig,
-    ModelConfig,
-    Preprocessing,
-    SaladConfig,
-)
-from salad.data.places import find_places
+from salad.cli.main import main
+from salad.datasets.places import find_places
 from salad.errors import BenchmarkError
 from salad.evaluation.ranking import Held, nearest
 from salad.index.filters import Filter
-from salad.model.fake import FakeDescriber
-from salad.train.loop import train
-from salad.train.recipe import PRESETS, Preset, Recipe
+from salad.models.fake import FakeDescriber
+from salad.network.aggregator_config import AGGREGATOR_KINDS, AGGREGATORS, SaladConfig
+from salad.network.config import BACKBONE_KINDS, Calibration, LiteConfig, ModelConfig, Preprocessing
+from salad.training.recipe import PRESETS, Preset, Recipe
+from salad.training.trainer import train
 
 RECORDED = Path(__file__).with_name("recorded")
 """What was so on the day the pins were made. Right by definition: formats that others hold files of are frozen."""
