@@ -32,7 +32,15 @@ from salad.geo import GeoPoint, metres
 from salad.images.photo import Photo, read_photo
 from salad.index import centring
 from salad.index.search import Match
-from salad.localize.calibration import BINS, Case, Judged, calibrate, calibration_error, judge, reliability
+from salad.localize.calibration import (
+    BINS,
+    Case,
+    Predictions,
+    calibrate,
+    calibration_error,
+    judge,
+    reliability,
+)
 from salad.models.describer import Describer
 from salad.models.model_folder import write_calibration
 from salad.network.config import Calibration
@@ -167,7 +175,7 @@ def evaluated(model: Describer, data: Path, *, centred: bool) -> tuple[Question,
     )
 
 
-def say(what: str, judged: Judged, limit: float) -> None:
+def say(what: str, judged: Predictions, limit: float) -> None:
     """One line: how well confidence foretells what is right, and what is answered at the limit."""
     answered = judged.confidence >= limit
     weight = np.where(answered, judged.weight, 0)
@@ -182,7 +190,7 @@ def say(what: str, judged: Judged, limit: float) -> None:
     )
 
 
-def table(judged: Judged) -> None:
+def table(judged: Predictions) -> None:
     """Print the reliability, step by step; cases count by their weight."""
     print("confidence    cases   mean   right")
     for number, one in enumerate(reliability(judged)):
@@ -218,7 +226,7 @@ def provenance(model: Describer, here: Question, far: Question, city: str) -> st
     )
 
 
-def measured(model: Describer, data: Path, calibration: Calibration) -> Judged:
+def measured(model: Describer, data: Path, calibration: Calibration) -> Predictions:
     """Print what a calibration is worth on the evaluation photos; what it says of `sfxl-30`."""
     street, gardens = evaluated(model, data, centred=calibration.centred)
     limit, seen = calibration.min_confidence, judge(street.cases(), calibration)
@@ -258,7 +266,7 @@ def main() -> None:
     say("out of fold", judged, calibration.min_confidence)
     first = 0
     for kind, some in kinds.items():
-        part = Judged(*(values[first : first + len(some)] for values in judged))
+        part = Predictions(*(values[first : first + len(some)] for values in judged))
         say(f"  {kind}", part, calibration.min_confidence)
         first += len(some)
     if asked.write:

@@ -63,7 +63,7 @@ def measure(folder: Path, references: int, queries: int, dim: int) -> dict[str, 
         folder / "references.npy",
         folder / "queries.npy",
         name="made up",
-        terms=EvalSettings(seed=SEED),
+        settings=EvalSettings(seed=SEED),
     )
     if result.recall[1] < 99:
         sys.exit(f"R@1 is {result.recall[1]:.1f} %, but every query's double must come first")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from salad.localize.calibration import Judged, reliability
+from salad.localize.calibration import Predictions, reliability
 
 
-def diagram(series: Sequence[tuple[str, str, Judged]], to: Path) -> None:
+def diagram(series: Sequence[tuple[str, str, Predictions]], to: Path) -> None:
     """Draw confidence against the share of right ones, a disc a step, its area the number of cases."""
     side, edge = 360, 56
     parts = [

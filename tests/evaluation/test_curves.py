@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from salad.datasets.benchmark import Benchmark
 from salad.evaluation import metrics
-from salad.evaluation.evaluate import EvalSettings, judged
+from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.metrics import Answers
 from salad.evaluation.ranking import Ranked
 from salad.geo import GeoPoint, shifted
@@ -106,7 +106,7 @@ def test_metres_of_a_result() -> None:
     ]
     positives = [np.array([0]), np.array([1]), np.array([0]), np.array([0]), np.zeros(0, np.int64)]
     ranked = Ranked(np.array([[0], [1], [2], [0], [3]]))
-    drop = judged(
+    drop = judge(
         Benchmark("b", "radius 25 m", references, queries, positives), ranked, EvalSettings(), model="m"
     )
     far = drop.distances
@@ -115,8 +115,8 @@ def test_metres_of_a_result() -> None:
     assert far.median == pytest.approx(12, abs=0.01)
     assert far.within == {5: 50.0, 10: 50.0, 25: 100.0, 50: 100.0}
     assert far.median_interval.low == pytest.approx(4, abs=0.01)
-    assert [one.metres is None for one in drop.verdicts] == [False, False, True, True, False]
-    miss = judged(
+    assert [one.metres is None for one in drop.per_query] == [False, False, True, True, False]
+    miss = judge(
         Benchmark("b", "p", references, queries, positives, unanswerable_rule="miss"),
         ranked,
         EvalSettings(),
@@ -131,14 +131,14 @@ def test_a_query_without_a_match_is_infinitely_far() -> None:
     references, queries = [placed("r0", 0.0)], [placed("q0", 1.0), placed("q1", 1.0), placed("q2", 1.0)]
     right = [np.array([0])] * 3
     ranked = Ranked(np.array([[0], [-1], [-1]]), np.array([[0.5], [-np.inf], [-np.inf]]))
-    result = judged(Benchmark("b", "p", references, queries, right), ranked, EvalSettings(), model="m")
+    result = judge(Benchmark("b", "p", references, queries, right), ranked, EvalSettings(), model="m")
     assert result.distances is not None
     assert math.isinf(result.distances.median)
     assert result.distances.as_dict()["median"] is None
     assert result.distances.within[5] == pytest.approx(100 / 3)
     assert result.precision_recall is not None
     assert result.precision_recall.area == pytest.approx(100 / 3)
-    assert result.verdicts[1].matches == ()
+    assert result.per_query[1].matches == ()
     nothing = Ranked(np.full((3, 1), -1), np.full((3, 1), -np.inf))
-    empty = judged(Benchmark("b", "p", references, queries, right), nothing, EvalSettings(), model="m")
+    empty = judge(Benchmark("b", "p", references, queries, right), nothing, EvalSettings(), model="m")
     assert (empty.distances, empty.precision_recall, empty.recall[1]) == (None, None, 0.0)

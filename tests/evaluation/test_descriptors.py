@@ -58,7 +58,7 @@ def test_the_second_time_nothing_is_described(
     assert second.seen == []
     for result in (one, two):
         assert result.recall == plain.recall
-        for ours, due in zip(result.verdicts, plain.verdicts, strict=True):
+        for ours, due in zip(result.per_query, plain.per_query, strict=True):
             assert ours.matches == due.matches
             assert ours.scores == pytest.approx(due.scores, rel=1e-6)
 
@@ -121,7 +121,7 @@ def test_a_damaged_file_counts_for_nothing(drive: Benchmark, tmp_path: Path, har
     again = Counting()
     result = evaluate(drive, again, cache=cache)
     assert len(again.seen) == 10
-    assert [one.matches for one in result.verdicts] == [one.matches for one in due.verdicts]
+    assert [one.matches for one in result.per_query] == [one.matches for one in due.per_query]
     third = Counting()
     evaluate(drive, third, cache=cache)
     assert third.seen == []  # it was written anew

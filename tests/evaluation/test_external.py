@@ -82,7 +82,7 @@ class TestRankings:
         assert [line.split()[0] for line in lines] == ["q0", "q1", "q2", "q3"]
         theirs = evaluate_rankings(set_, tmp_path / "ranked.txt", name="again")
         assert theirs.recall == ours.recall
-        assert [one.matches for one in theirs.verdicts] == [one.matches for one in ours.verdicts]
+        assert [one.matches for one in theirs.per_query] == [one.matches for one in ours.per_query]
         assert theirs.precision_recall is None  # nobody told scores
 
     def test_names_that_only_their_folders_tell_apart(self, tmp_path: Path, saved: tuple[Path, Path]) -> None:
@@ -106,12 +106,12 @@ class TestRankings:
         ranked.write_text("q0 r0 r1 r2 r3 r4\n\nq1 r0 r1.jpg\nother r0\nq2\nq3 r0 r1 r2\n", encoding="utf-8")
         result = evaluate_rankings(benchmark(tmp_path), ranked, name="peer")
         assert result.recall == {1: 25.0, 5: 50.0}  # nobody asked it for ten
-        assert [one.first_right for one in result.verdicts] == [1, 2, None, None]
+        assert [one.first_right for one in result.per_query] == [1, 2, None, None]
         assert len(result.notes) == 2
         assert "1 lines of ranked.txt are of queries that the protocol leaves out" in result.notes[1]
         ranked.write_text("q0\nq1\nq2\nq3\n", encoding="utf-8")
         assert evaluate_rankings(
-            benchmark(tmp_path), ranked, name="peer", terms=EvalSettings((5,))
+            benchmark(tmp_path), ranked, name="peer", settings=EvalSettings((5,))
         ).recall == {1: 0.0}
 
     @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from PIL import Image
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
 from salad.evaluation import ranking
-from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judged
+from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge
 from salad.evaluation.metrics import recall_at
 from salad.evaluation.ranking import Held, Ranked, nearest, rank
 from salad.images.photo import Photo
@@ -205,7 +205,7 @@ class TestAgainstAnIndependentComputation:
             for side, rows in zip("rq", (references, queries), strict=True)
         )
         benchmark = Benchmark("b", "p", *sides, tuple(positives))
-        result = judged(benchmark, Ranked(ranked), EvalSettings(KS, rule, times=2), model="m")
+        result = judge(benchmark, Ranked(ranked), EvalSettings(KS, rule, times=2), model="m")
         assert result.recall == pytest.approx(due)
         assert result.unanswerable == sum(not rows for rows in right)
 
@@ -301,28 +301,28 @@ class TestEvaluate:
         ):
             result = evaluate(drive, model, ks=(1, 3), plain=plain)
             due = nearest(*held, k=3, centred=centred)
-            assert [one.matches for one in result.verdicts] == [tuple(rows) for rows in due.rows.tolist()]
+            assert [one.matches for one in result.per_query] == [tuple(rows) for rows in due.rows.tolist()]
             assert due.scores is not None
-            assert np.array([one.scores for one in result.verdicts]) == pytest.approx(due.scores)
+            assert np.array([one.scores for one in result.per_query]) == pytest.approx(due.scores)
             assert (result.model, result.notes) == (name, notes)
 
     def test_verdicts_say_what_became_of_each_query(self, drive: Benchmark) -> None:
         result = evaluate(drive, FakeDescriber(), ks=(1, 3))
-        assert [one.query for one in result.verdicts] == [f"q{number}.png" for number in range(6)]
-        for number, one in enumerate(result.verdicts[:5]):
+        assert [one.query for one in result.per_query] == [f"q{number}.png" for number in range(6)]
+        for number, one in enumerate(result.per_query[:5]):
             assert (one.first_right, one.right, one.positives) == (1, number, 1)
             assert one.matches[0] == number
             assert one.scores is not None
             assert len(one.matches) == len(one.scores) == 3
             assert list(one.scores) == sorted(one.scores, reverse=True)
             assert result.known[number].name == f"r{number}.png"
-        last = result.verdicts[5]
+        last = result.per_query[5]
         assert (last.first_right, last.right, last.positives, last.hit(99)) == (None, None, 0, False)
-        assert {row for one in result.verdicts for row in one.matches} <= result.known.keys()
+        assert {row for one in result.per_query for row in one.matches} <= result.known.keys()
 
     def test_as_many_rankings_as_queries(self, drive: Benchmark) -> None:
         with pytest.raises(BenchmarkError, match="1 rankings but 6 queries"):
-            judged(drive, Ranked(np.array([[0]])), EvalSettings(), model="m")
+            judge(drive, Ranked(np.array([[0]])), EvalSettings(), model="m")
 
     def test_batches_do_not_matter(self, drive: Benchmark) -> None:
         recalls = [evaluate(drive, FakeDescriber(dim=2), batch_size=size).recall for size in (1, 7, 64)]

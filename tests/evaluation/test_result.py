@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, judged
+from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.leaks import Leak
 from salad.evaluation.ranking import Ranked
 from salad.evaluation.result import Result, as_csv, read_result, write_csv, write_result
@@ -37,7 +37,7 @@ def made() -> Result:
     right = [np.array([1, 2]), np.zeros(0, np.int64), np.array([3])]
     ranked = Ranked(np.array([[2, 0], [1, 3], [0, -1]]), np.array([[0.9, 0.5], [0.75, 0.5], [0.5, -np.inf]]))
     set_ = Benchmark("set", "p", references, queries, right, ("a note",), groups=("a", "b", "b"))
-    return judged(set_, ranked, EvalSettings((1, 2), times=20), model="m", fingerprint="f", seconds=1.5)
+    return judge(set_, ranked, EvalSettings((1, 2), times=20), model="m", fingerprint="f", seconds=1.5)
 
 
 @pytest.mark.parametrize("leaks", [None, (), (LEAK,)])
@@ -55,7 +55,7 @@ def test_a_result_without_scores_and_positions(made: Result, tmp_path: Path) -> 
         made,
         precision_recall=None,
         distances=None,
-        verdicts=tuple(replace(one, scores=None, where=None, metres=None) for one in made.verdicts),
+        per_query=tuple(replace(one, scores=None, where=None, metres=None) for one in made.per_query),
     )
     write_result(bare, tmp_path / "result.json")
     assert read_result(tmp_path / "result.json") == bare
@@ -116,7 +116,7 @@ def test_a_result_with_a_piece_exchanged_is_read_or_refused(
 ) -> None:
     path = tmp_path_factory.mktemp("junk") / "result.json"
     set_ = Benchmark("s", "p", [Photo(Path("r"))], [Photo(Path("q"))], [np.array([0])])
-    write_result(judged(set_, Ranked(np.array([[0]])), EvalSettings((1,), times=2), model="m"), path)
+    write_result(judge(set_, Ranked(np.array([[0]])), EvalSettings((1,), times=2), model="m"), path)
     told = json.loads(path.read_text(encoding="utf-8"))
     spot = told if data.draw(st.booleans()) else told["verdicts"][0]
     spot[data.draw(st.sampled_from(sorted(spot)))] = data.draw(JUNK)
@@ -125,7 +125,7 @@ def test_a_result_with_a_piece_exchanged_is_read_or_refused(
         read = read_result(path)
     except BenchmarkError:
         read = None
-    assert read is None or len(read.verdicts) == read.queries
+    assert read is None or len(read.per_query) == read.queries
 
 
 @pytest.mark.parametrize("harm", ["verdicts", "known"])

@@ -11,7 +11,7 @@ import pytest
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, judged
+from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.ranking import Ranked
 from salad.evaluation.result import Result
 from salad.evaluation.significance import design_of, differences
@@ -33,7 +33,7 @@ def result(
         more.pop("positives", [np.array([0])] * len(hits)),
         groups=None if groups is None else tuple(groups),
     )
-    return judged(benchmark, ranked, EvalSettings((1,), times=20, **more), model="m")
+    return judge(benchmark, ranked, EvalSettings((1,), times=20, **more), model="m")
 
 
 def test_who_won_and_lost() -> None:
@@ -98,7 +98,7 @@ def test_what_cannot_stand_side_by_side() -> None:
     with pytest.raises(BenchmarkError, match="their right references are not the same"):
         differences(one, result([True, False], positives=[np.array([0]), np.array([0, 2])]))
     with pytest.raises(BenchmarkError, match="queries in another order"):
-        differences(one, replace(one, verdicts=one.verdicts[::-1]))
+        differences(one, replace(one, per_query=one.per_query[::-1]))
     with pytest.raises(BenchmarkError, match=r"recall at \[1\] and the other at \[5\]"):
         differences(one, replace(one, recall={5: 1.0}))
     with pytest.raises(BenchmarkError, match="unanswerable queries count as misses"):

@@ -15,7 +15,7 @@ from salad.index.search import Match
 from salad.localize.calibration import (
     BINS,
     Case,
-    Judged,
+    Predictions,
     calibrate,
     calibration_error,
     fit,
@@ -40,11 +40,13 @@ def drawn(
     return evidence, chance.random(count) < 1 / (1 + np.exp(-z))
 
 
-def judged(sure: object, right: object, weight: object = None) -> Judged:
+def judged(sure: object, right: object, weight: object = None) -> Predictions:
     """As if all stood 1 m from a place of radius 1 m."""
     confidence, flags = np.asarray(sure, dtype=float), np.asarray(right, dtype=bool)
     ones = np.ones(len(flags))
-    return Judged(confidence, flags, ones, ones, ones if weight is None else np.asarray(weight, dtype=float))
+    return Predictions(
+        confidence, flags, ones, ones, ones if weight is None else np.asarray(weight, dtype=float)
+    )
 
 
 def drawn_cases(seed: int, places: int = 40) -> list[Case]:

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from pages import Page, Sharing
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, judged
+from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.leaks import Leak
 from salad.evaluation.ranking import Ranked
-from salad.evaluation.result import Result, Verdict, read_result, write_result
+from salad.evaluation.result import QueryResult, Result, read_result, write_result
 from salad.geo import GeoPoint, metres_between, round_metres, shifted, told_metres
 from salad.images.decode import save_jpeg
 from salad.images.photo import Photo
@@ -81,7 +81,7 @@ def make(tmp_path: Path) -> Make:
             "set", protocol, sides[0], sides[1], right, ("a note",), groups=tuple(groups) if groups else None
         )
         ranked = Ranked(rows, scores if scored else None)
-        return judged(
+        return judge(
             set_, ranked, EvalSettings((1, 2), times=40), model="mine", fingerprint="f1", seconds=1.25
         )
 
@@ -145,7 +145,7 @@ def test_marks_are_as_many_as_the_result_counts(
 ) -> None:
     result = make(positions=positions, groups=[f"drive {n % 3}" for n in range(12)] if grouped else None)
     page = drawn(result, tmp_path)
-    expected = choosing.counts(result.verdicts)
+    expected = choosing.counts(result.per_query)
     assert page.marks() == expected
     assert sum(expected.values()) == result.queries
     assert expected["unanswerable"] == result.unanswerable == 1
@@ -161,8 +161,8 @@ def test_very_many_queries_are_shapes_and_are_all_there(
     make: Make, tmp_path: Path, positions: Sequence[int] | None
 ) -> None:
     few = make(10, positions=positions)
-    many = tuple(few.verdicts[n % 10] for n in range(sheet.SINGLE + 6))
-    result = replace(few, verdicts=many, queries=len(many))
+    many = tuple(few.per_query[n % 10] for n in range(sheet.SINGLE + 6))
+    result = replace(few, per_query=many, queries=len(many))
     text = draw_report(result, tmp_path / "page.html")[0]
     page, expected = Sheet(text), choosing.counts(many)
     assert sum(page.marks().values()) == 2 * choosing.SHOWN + choosing.UNANSWERABLE
@@ -184,7 +184,7 @@ def test_marks_and_strips_point_at_each_other(make: Make, tmp_path: Path) -> Non
         inner = [attrs["href"] or "" for attrs in page.all("a") if (attrs["href"] or "").startswith("#")]
         assert all(target[1:] in ids for target in inner)
         strips = page.all("article", "strip")
-        assert len(strips) == sum(not one.hit(1) for one in result.verdicts)
+        assert len(strips) == sum(not one.hit(1) for one in result.per_query)
         assert len([target for target in inner if target.startswith("#query-")]) == len(strips)
 
 
@@ -215,7 +215,7 @@ def test_hostile_names_stay_text(make: Make, tmp_path: Path) -> None:
         leaks=(Leak(0, 1, evil, "r", "picture"),),
     )
     page = drawn(result, tmp_path)
-    assert result.verdicts[0].query in page.said
+    assert result.per_query[0].query in page.said
     assert page.said.count(evil) >= 6
     assert not page.all("script")
     assert len(page.all("style")) == 1
@@ -224,8 +224,8 @@ def test_hostile_names_stay_text(make: Make, tmp_path: Path) -> None:
 
 def test_names_that_are_no_text(tmp_path: Path, make: Make) -> None:
     result = make(photos=False)
-    odd = tuple(replace(one, query=one.query + "\udcff\ud800\0") for one in result.verdicts)
-    told = write_report(replace(result, verdicts=odd), tmp_path / "page.html")
+    odd = tuple(replace(one, query=one.query + "\udcff\ud800\0") for one in result.per_query)
+    told = write_report(replace(result, per_query=odd), tmp_path / "page.html")
     assert "cannot be opened" in told[0]
     assert "0.jpg??" in Sheet((tmp_path / "page.html").read_text(encoding="utf-8")).said.replace("\0", "")
 
@@ -282,8 +282,8 @@ def test_without_scores_there_is_no_such_curve(make: Make, tmp_path: Path) -> No
 
 def test_without_a_mistake(make: Make, tmp_path: Path) -> None:
     result = make()
-    right = tuple(one for one in result.verdicts if one.hit(1))
-    page = drawn(replace(result, verdicts=right, queries=len(right), unanswerable=0), tmp_path)
+    right = tuple(one for one in result.per_query if one.hit(1))
+    page = drawn(replace(result, per_query=right, queries=len(right), unanswerable=0), tmp_path)
     assert "None: every query was answered rightly." in page.said
 
 
@@ -291,9 +291,9 @@ def test_queries_for_which_nothing_was_found(make: Make, tmp_path: Path) -> None
     result = make()
     none = tuple(
         replace(one, matches=(), scores=(), first_right=None, metres=None, right=one.right and 99)
-        for one in result.verdicts
+        for one in result.per_query
     )
-    page = drawn(replace(result, verdicts=none, precision_recall=None), tmp_path)
+    page = drawn(replace(result, per_query=none, precision_recall=None), tmp_path)
     assert "nothing found" in page.said
     assert not page.all("path", "way")
 
@@ -322,7 +322,7 @@ def test_where_nothing_can_be_written(make: Make, tmp_path: Path) -> None:
 # --- parts ---------------------------------------------------------------------------------
 
 VERDICTS = st.builds(
-    Verdict,
+    QueryResult,
     query=st.just("q"),
     positives=st.integers(0, 2),
     first_right=st.none() | st.integers(1, 5),
@@ -333,7 +333,7 @@ VERDICTS = st.builds(
 
 
 @given(st.lists(VERDICTS, max_size=30))
-def test_mistakes_are_chosen_in_order_and_once(verdicts: list[Verdict]) -> None:
+def test_mistakes_are_chosen_in_order_and_once(verdicts: list[QueryResult]) -> None:
     sure = choosing.surest(verdicts, most=5)
     far = choosing.worst(verdicts, besides=sure, most=5)
     assert not set(sure) & set(far)
@@ -370,16 +370,16 @@ def test_towns_far_apart_have_maps_of_their_own(make: Make, tmp_path: Path) -> N
     along = {n: (40.0 + 0.2 * n, 10.0 - 0.2 * n) for n in range(10)}  # one road from town to town
     assert sheet.regions(along) == [list(range(10))]
     result = make(20, photos=False)
-    far = tuple(replace(one, where=(float(n), 0.0)) for n, one in enumerate(result.verdicts))
-    page = drawn(replace(result, verdicts=far), tmp_path)
+    far = tuple(replace(one, where=(float(n), 0.0)) for n, one in enumerate(result.per_query))
+    page = drawn(replace(result, per_query=far), tmp_path)
     assert len(page.all("svg", "map")) == sheet.MAPS
     assert "14 queries in 14 smaller regions are not drawn." in page.said
     ids = {attrs.get("id") for _, attrs in page.tags}
     back = [attrs["href"] or "" for attrs in page.all("a", "to-map")]
     assert back
     assert all(target[1:] in ids for target in back)
-    odd = tuple(replace(one, where=(math.nan, 0.0)) for one in result.verdicts)
-    assert len(drawn(replace(result, verdicts=odd), tmp_path).all("svg", "drive")) == 1
+    odd = tuple(replace(one, where=(math.nan, 0.0)) for one in result.per_query)
+    assert len(drawn(replace(result, per_query=odd), tmp_path).all("svg", "drive")) == 1
 
 
 @settings(max_examples=30)

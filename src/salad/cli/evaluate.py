@@ -300,13 +300,13 @@ class EvaluateCommand:
     def _judged(self, benchmark: Benchmark) -> tuple[Result, Describes | None]:
         from salad.evaluation.evaluate import EvalSettings, evaluate, evaluate_descriptors, evaluate_rankings
 
-        terms = EvalSettings(seed=self.seed)
+        settings = EvalSettings(seed=self.seed)
         if self.descriptors is not None:
             name = self.called or self.descriptors[1].stem
-            return evaluate_descriptors(benchmark, *self.descriptors, name=name, terms=terms), None
+            return evaluate_descriptors(benchmark, *self.descriptors, name=name, settings=settings), None
         if self.rankings is not None:
             name = self.called or self.rankings.stem
-            return evaluate_rankings(benchmark, self.rankings, name=name, terms=terms), None
+            return evaluate_rankings(benchmark, self.rankings, name=name, settings=settings), None
         from salad.models.model_folder import load
 
         model = load(self.model, device=self.device, heads=self.heads)

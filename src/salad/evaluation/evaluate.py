@@ -32,8 +32,8 @@ from salad.evaluation.ranking import Ranked, nearest
 from salad.evaluation.result import (
     Distances,
     PrecisionRecall,
+    QueryResult,
     Result,
-    Verdict,
     along,
     answers,
     folder_of,
@@ -57,7 +57,7 @@ Statistic = Callable[[Float64[np.ndarray, "draws queries"]], Float64[np.ndarray,
 
 @dataclass(frozen=True, slots=True)
 class EvalSettings:
-    """On what terms a benchmark is judged.
+    """On what settings a benchmark is judged.
 
     Attributes:
         ks: which recalls to report.
@@ -85,10 +85,10 @@ class EvalSettings:
         check_countable(benchmark.positives, self.ks, unanswerable=self.rule(benchmark))
 
 
-def judged(
+def judge(
     benchmark: Benchmark,
     ranked: Ranked,
-    terms: EvalSettings,
+    settings: EvalSettings,
     *,
     model: str,
     fingerprint: str = "",
@@ -100,7 +100,7 @@ def judged(
     Args:
         benchmark: the set and its ground truth.
         ranked: the references found for each query, best first.
-        terms: on what terms.
+        settings: on what settings.
         model: what to call whatever found them.
         fingerprint: the model's, where it has one.
         seconds: how long it took.
@@ -109,14 +109,14 @@ def judged(
     Raises:
         BenchmarkError: there is not one ranking a query, or no recall to give.
     """
-    terms.check(benchmark)
+    settings.check(benchmark)
     if len(ranked.rows) != len(benchmark.queries):
         raise BenchmarkError(
             f"{len(ranked.rows)} rankings but {len(benchmark.queries)} queries: give one of each"
         )
     folders = folder_of(benchmark.references), folder_of(benchmark.queries)
     verdicts = verdicts_of(benchmark, ranked, folders[1])
-    rule = terms.rule(benchmark)
+    rule = settings.rule(benchmark)
     result = Result(
         benchmark=benchmark.name,
         protocol=benchmark.protocol + _said(rule, benchmark.unanswerable_rule),
@@ -129,25 +129,25 @@ def judged(
         notes=(*benchmark.notes, *notes),
         fingerprint=fingerprint,
         unanswerable_rule=rule,
-        verdicts=verdicts,
+        per_query=verdicts,
         known=known(benchmark, verdicts, folders[0]),
         folders=folders,
         digests=(names_digest(benchmark.references, folders[0]), rows_digest(benchmark.positives)),
     )
-    return measured(result, terms, design_of(benchmark))
+    return measured(result, settings, design_of(benchmark))
 
 
-def measured(result: Result, terms: EvalSettings, design: Design) -> Result:
+def measured(result: Result, settings: EvalSettings, design: Design) -> Result:
     """The result with every figure that its verdicts give."""
-    recall, intervals, drawn = _recalls(result, terms, design)
-    found = answers(result.verdicts)
+    recall, intervals, drawn = _recalls(result, settings, design)
+    found = answers(result.per_query)
     return replace(
         result,
         recall=recall,
         intervals=intervals,
         drawn=drawn,
-        precision_recall=None if found is None else _precision_recall(found, terms, design),
-        distances=_distances(result, terms, design),
+        precision_recall=None if found is None else _precision_recall(found, settings, design),
+        distances=_distances(result, settings, design),
     )
 
 
@@ -164,27 +164,29 @@ def design_of(benchmark: Benchmark) -> Design:
 
 
 def _recalls(
-    result: Result, terms: EvalSettings, design: Design
+    result: Result, settings: EvalSettings, design: Design
 ) -> tuple[dict[int, float], dict[int, Interval], dict[str, object]]:
-    those = np.array([number for number, one in enumerate(result.verdicts) if result.counts(one)])
+    those = np.array([number for number, one in enumerate(result.per_query) if result.counts(one)])
     hits = np.array(
-        [[result.verdicts[number].hit(k) for k in terms.ks] for number in those], dtype=np.float64
+        [[result.per_query[number].hit(k) for k in settings.ks] for number in those], dtype=np.float64
     )
     plan = design.plan(those, hits[:, 0])
-    draws = _drawn(plan, terms, lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True))
-    recall = {k: float(100.0 * hits[:, column].mean()) for column, k in enumerate(terms.ks)}
+    draws = _drawn(
+        plan, settings, lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True)
+    )
+    recall = {k: float(100.0 * hits[:, column].mean()) for column, k in enumerate(settings.ks)}
     intervals = {
         k: share_interval(recall[k], draws[:, column], units=plan.units, counted=len(those))
-        for column, k in enumerate(terms.ks)
+        for column, k in enumerate(settings.ks)
     }
-    return recall, nested(intervals), {**plan.as_dict(), "times": terms.times, "seed": terms.seed}
+    return recall, nested(intervals), {**plan.as_dict(), "times": settings.times, "seed": settings.seed}
 
 
-def _precision_recall(found: Answers, terms: EvalSettings, design: Design) -> PrecisionRecall | None:
+def _precision_recall(found: Answers, settings: EvalSettings, design: Design) -> PrecisionRecall | None:
     if not np.isfinite(found.scores).any():
         return None
     plan = design.plan(np.arange(len(found.scores)), found.right.astype(np.float64))
-    draws = _drawn(plan, terms, found.area_and_full)
+    draws = _drawn(plan, settings, found.area_and_full)
     curve = found.curve()
     return PrecisionRecall(
         curve.area,
@@ -195,8 +197,8 @@ def _precision_recall(found: Answers, terms: EvalSettings, design: Design) -> Pr
     )
 
 
-def _distances(result: Result, terms: EvalSettings, design: Design) -> Distances | None:
-    counted = {number: one for number, one in enumerate(result.verdicts) if result.counts(one)}
+def _distances(result: Result, settings: EvalSettings, design: Design) -> Distances | None:
+    counted = {number: one for number, one in enumerate(result.per_query) if result.counts(one)}
     apart = {number: _apart(one) for number, one in counted.items()}
     placed = {number: far for number, far in apart.items() if not math.isnan(far)}
     if not placed or all(map(math.isinf, placed.values())):
@@ -205,7 +207,7 @@ def _distances(result: Result, terms: EvalSettings, design: Design) -> Distances
     plan = design.plan(np.array(list(placed)), (far <= metrics.WITHIN_M[-1]).astype(np.float64))
     draws = _drawn(
         plan,
-        terms,
+        settings,
         lambda weights: np.column_stack(
             [metrics.distance_medians(far, weights), metrics.shares_within(far, weights)]
         ),
@@ -223,14 +225,16 @@ def _distances(result: Result, terms: EvalSettings, design: Design) -> Distances
     )
 
 
-def _apart(one: Verdict) -> float:
+def _apart(one: QueryResult) -> float:
     if one.metres is not None:
         return one.metres
     return math.inf if one.where is not None and not one.matches else math.nan
 
 
-def _drawn(plan: Plan, terms: EvalSettings, statistic: Statistic) -> Float64[np.ndarray, "draws figures"]:
-    return np.concatenate([statistic(some) for some in plan.weights(seed=terms.seed, times=terms.times)])
+def _drawn(plan: Plan, settings: EvalSettings, statistic: Statistic) -> Float64[np.ndarray, "draws figures"]:
+    return np.concatenate(
+        [statistic(some) for some in plan.weights(seed=settings.seed, times=settings.times)]
+    )
 
 
 def _said(rule: Unanswerable, own: Unanswerable) -> str:
@@ -274,18 +278,18 @@ def evaluate(
             cannot be written.
         ModelError: The model gives descriptors of another shape than it says, or numbers that are not finite.
     """
-    terms = EvalSettings(ks, unanswerable, seed)
-    terms.check(benchmark)
+    settings = EvalSettings(ks, unanswerable, seed)
+    settings.check(benchmark)
     began = time.perf_counter()
     described = Described(model, batch_size=batch_size)
     source = described if cache is None else Cache(cache, described)
     references, queries = source.sides(benchmark.references, benchmark.queries, progress=progress)
     own = calibration_of(model).centred
     ranked = nearest(queries, references, k=max(ks), centred=own and not plain)
-    return judged(
+    return judge(
         benchmark,
         ranked,
-        terms,
+        settings,
         model=f"{model.name}, plain" if own and plain else model.name,
         notes=(CENTRED,) if own and not plain else (),
         fingerprint=model.fingerprint,
@@ -294,7 +298,7 @@ def evaluate(
 
 
 def evaluate_descriptors(
-    benchmark: Benchmark, references: Path, queries: Path, *, name: str, terms: EvalSettings | None = None
+    benchmark: Benchmark, references: Path, queries: Path, *, name: str, settings: EvalSettings | None = None
 ) -> Result:
     """Judge descriptors that somebody else made: two `.npy` files, rows in the order of the benchmark's photos.
 
@@ -303,22 +307,22 @@ def evaluate_descriptors(
         references: descriptors of the references.
         queries: descriptors of the queries.
         name: what to call the method.
-        terms: on what terms, where not the usual ones.
+        settings: on what settings, where not the usual ones.
 
     Raises:
         BenchmarkError: a file cannot be read or does not fit the set, or no query has an answer.
     """
-    terms = terms or EvalSettings()
-    terms.check(benchmark)
+    settings = settings or EvalSettings()
+    settings.check(benchmark)
     began = time.perf_counter()
     known, asked, notes = read_descriptors(benchmark, references, queries)
-    ranked = nearest(asked, known, k=max(terms.ks))
+    ranked = nearest(asked, known, k=max(settings.ks))
     seconds = time.perf_counter() - began
-    return judged(benchmark, ranked, terms, model=name, seconds=seconds, notes=notes)
+    return judge(benchmark, ranked, settings, model=name, seconds=seconds, notes=notes)
 
 
 def evaluate_rankings(
-    benchmark: Benchmark, rankings: Path, *, name: str, terms: EvalSettings | None = None
+    benchmark: Benchmark, rankings: Path, *, name: str, settings: EvalSettings | None = None
 ) -> Result:
     """Judge ranked lists that somebody else made, in the form of the MSLS challenge.
 
@@ -326,18 +330,18 @@ def evaluate_rankings(
         benchmark: the set and its ground truth.
         rankings: the file.
         name: what to call the method.
-        terms: on what terms, where not the usual ones; a k beyond the longest list is left out.
+        settings: on what settings, where not the usual ones; a k beyond the longest list is left out.
 
     Raises:
         BenchmarkError: the file cannot be read or does not fit the set, or no query has an answer.
     """
-    terms = terms or EvalSettings()
-    terms.check(benchmark)
+    settings = settings or EvalSettings()
+    settings.check(benchmark)
     began = time.perf_counter()
     ranked, notes = read_rankings(benchmark, rankings)
-    ks = depth(ranked, len(benchmark.references), terms.ks)
+    ks = depth(ranked, len(benchmark.references), settings.ks)
     seconds = time.perf_counter() - began
-    return judged(benchmark, ranked, replace(terms, ks=ks), model=name, seconds=seconds, notes=notes)
+    return judge(benchmark, ranked, replace(settings, ks=ks), model=name, seconds=seconds, notes=notes)
 
 
 def with_leaks(result: Result, benchmark: Benchmark) -> Result:
@@ -346,8 +350,8 @@ def with_leaks(result: Result, benchmark: Benchmark) -> Result:
     Raises:
         BenchmarkError: a photo cannot be read.
     """
-    matches = [one.matches for one in result.verdicts]
-    scores = [one.scores for one in result.verdicts if one.scores is not None]
+    matches = [one.matches for one in result.per_query]
+    scores = [one.scores for one in result.per_query if one.scores is not None]
     found = find_leaks(
         benchmark.queries,
         benchmark.references,

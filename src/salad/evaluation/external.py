@@ -161,13 +161,13 @@ def write_rankings(result: Result, path: Path) -> None:
             be written.
     """
     short = (
-        _short([one.query for one in result.verdicts]),
+        _short([one.query for one in result.per_query]),
         _short([one.name for one in result.known.values()]),
     )
     keys = dict(zip(result.known, short[1], strict=True))
     lines = (
         " ".join([query, *(keys[row] for row in one.matches)])
-        for query, one in zip(short[0], result.verdicts, strict=True)
+        for query, one in zip(short[0], result.per_query, strict=True)
     )
     _write(path, lines)
 

@@ -31,7 +31,7 @@ Degrees: TypeAlias = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class QueryResult:
     """What became of one query.
 
     Attributes:
@@ -148,7 +148,7 @@ class Result:
         precision_recall: The curve in short; None where nobody told scores.
         distances: Metres; None where positions are not known.
         leaks: Photos that are in both sides; None where nobody looked.
-        verdicts: What became of each query, in the benchmark's order.
+        per_query: What became of each query, in the benchmark's order.
         known: The references that verdicts name, by row.
         folders: The folders of references and of queries that names are below.
         digests: Of the references' names and of what is right, to tell whether two results are of one set.
@@ -170,7 +170,7 @@ class Result:
     precision_recall: PrecisionRecall | None = None
     distances: Distances | None = None
     leaks: tuple[Leak, ...] | None = None
-    verdicts: tuple[Verdict, ...] = ()
+    per_query: tuple[QueryResult, ...] = ()
     known: Mapping[int, Reference] = field(default_factory=dict)
     folders: tuple[str, str] = ("", "")
     digests: tuple[str, str] = ("", "")
@@ -197,16 +197,16 @@ class Result:
             "notes": list(self.notes),
         }
 
-    def counts(self, one: Verdict) -> bool:
+    def counts(self, one: QueryResult) -> bool:
         """Whether shares are of this query too, by the protocol's rule."""
         return one.positives > 0 or self.unanswerable_rule == "miss"
 
     def answers(self) -> Answers | None:
         """What the precision-recall curve is of; None where nobody told scores."""
-        return answers(self.verdicts)
+        return answers(self.per_query)
 
 
-def answers(verdicts: tuple[Verdict, ...]) -> Answers | None:
+def answers(verdicts: tuple[QueryResult, ...]) -> Answers | None:
     """Best scores and whether the best matches are right; None where a verdict has no scores."""
     scores = [one.scores for one in verdicts]
     if not scores or any(told is None for told in scores):
@@ -242,7 +242,7 @@ def write_result(result: Result, path: Path) -> None:
         "folders": list(result.folders),
         "digests": list(result.digests),
         "known": {str(row): [one.name, one.where] for row, one in result.known.items()},
-        "verdicts": [asdict(one) for one in result.verdicts],
+        "verdicts": [asdict(one) for one in result.per_query],
     }
     text = json.dumps(told, allow_nan=False, separators=(",", ":"))
     _write(path, text.encode("utf-8"))
@@ -277,7 +277,7 @@ def read_result(path: Path) -> Result:
 def as_csv(result: Result) -> str:
     """One line a query; what is not known leaves its field empty."""
     lines = [csv_line(COLUMNS)]
-    for one in result.verdicts:
+    for one in result.per_query:
         best = result.known[one.matches[0]].name if one.matches else ""
         score = f"{one.scores[0]:.6f}" if one.scores else ""
         near = "" if one.metres is None else f"{one.metres:.2f}"
@@ -324,26 +324,26 @@ def _result(told: dict[str, Any]) -> Result:
         precision_recall=None if curve is None else _curve(curve),
         distances=None if distances is None else _distances(distances),
         leaks=None if leaks is None else tuple(Leak(**leak) for leak in leaks),
-        verdicts=tuple(_verdict(one) for one in told["verdicts"]),
+        per_query=tuple(_verdict(one) for one in told["verdicts"]),
         known={
             int(row): Reference(_of(str, name), _where(where)) for row, (name, where) in told["known"].items()
         },
         folders=_two(told["folders"]),
         digests=_two(told["digests"]),
     )
-    if len(result.verdicts) != result.queries:
-        raise ValueError(f"{result.queries} queries, {len(result.verdicts)} verdicts")
-    missing = {row for one in result.verdicts for row in one.matches} - result.known.keys()
+    if len(result.per_query) != result.queries:
+        raise ValueError(f"{result.queries} queries, {len(result.per_query)} verdicts")
+    missing = {row for one in result.per_query for row in one.matches} - result.known.keys()
     if missing:
         raise ValueError(f"reference {min(missing)} has no name")
     return result
 
 
-def _verdict(told: dict[str, Any]) -> Verdict:
-    if told.keys() != {field.name for field in fields(Verdict)}:
+def _verdict(told: dict[str, Any]) -> QueryResult:
+    if told.keys() != {field.name for field in fields(QueryResult)}:
         raise ValueError(f"verdict of {sorted(told)}")
     scores = told["scores"]
-    return Verdict(
+    return QueryResult(
         query=_of(str, told["query"]),
         positives=_of(int, told["positives"]),
         first_right=None if told["first_right"] is None else _of(int, told["first_right"]),
@@ -407,7 +407,7 @@ def _of(kind: type, value: Any) -> Any:
 # --- What became of each query, in words that outlive the data set: names below a folder, rows, metres ---
 
 
-def verdicts_of(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[Verdict, ...]:
+def verdicts_of(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[QueryResult, ...]:
     """What became of each query, named by its path below a folder."""
     places = first_hits(ranked.rows, benchmark.positives)
     best = ranked.rows[:, 0] if ranked.rows.shape[1] else np.full(len(ranked.rows), -1)
@@ -427,13 +427,13 @@ def verdicts_of(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[Verd
 
 def _query_verdict(
     benchmark: Benchmark, ranked: Ranked, number: int, name: str, place: float, apart: float
-) -> Verdict:
+) -> QueryResult:
     found = ranked.rows[number] >= 0
     rows = ranked.rows[number][found].tolist()
     right = benchmark.positives[number]
     first = None if math.isinf(place) else int(place)
     where = benchmark.queries[number].where
-    return Verdict(
+    return QueryResult(
         query=name,
         positives=len(right),
         first_right=None if first is None else first + 1,
@@ -446,7 +446,7 @@ def _query_verdict(
     )
 
 
-def known(benchmark: Benchmark, verdicts: Sequence[Verdict], folder: str) -> dict[int, Reference]:
+def known(benchmark: Benchmark, verdicts: Sequence[QueryResult], folder: str) -> dict[int, Reference]:
     """The references that verdicts name, by row: their paths below a folder, and where they are."""
     rows = {row for one in verdicts for row in one.matches}
     rows |= {one.right for one in verdicts if one.right is not None}

@@ -79,7 +79,7 @@ def differences(first: Result, other: Result, *, seed: int = 0, times: int = TIM
         BenchmarkError: they are not of one set under one protocol, and the sentence says what differs.
     """
     check_comparable(first, other)
-    those = np.array([number for number, one in enumerate(first.verdicts) if first.counts(one)])
+    those = np.array([number for number, one in enumerate(first.per_query) if first.counts(one)])
     ks = [k for k in first.recall if k in other.recall]
     return tuple(_difference(first, other, k, those, seed=seed, times=times) for k in ks)
 
@@ -110,14 +110,14 @@ def check_comparable(first: Result, other: Result) -> None:
 
 
 def _check_queries(first: Result, other: Result) -> None:
-    one, two = ({verdict.query for verdict in result.verdicts} for result in (first, other))
+    one, two = ({verdict.query for verdict in result.per_query} for result in (first, other))
     if one != two:
         example = sorted(one ^ two)[0]
         raise BenchmarkError(
             f"the results are of two sets of queries ({len(one)} and {len(two)}, {len(one & two)} of them in both; "
             f"{example} is in one only): judge both on the same queries"
         )
-    if [verdict.query for verdict in first.verdicts] != [verdict.query for verdict in other.verdicts]:
+    if [verdict.query for verdict in first.per_query] != [verdict.query for verdict in other.per_query]:
         raise BenchmarkError(
             "the results have the same queries in another order: judge both on one copy of the set"
         )
@@ -126,7 +126,7 @@ def _check_queries(first: Result, other: Result) -> None:
 def _difference(
     first: Result, other: Result, k: int, those: np.ndarray, *, seed: int, times: int
 ) -> Difference:
-    pairs = [(first.verdicts[number], other.verdicts[number]) for number in those.tolist()]
+    pairs = [(first.per_query[number], other.per_query[number]) for number in those.tolist()]
     change = np.array([float(new.hit(k)) - float(old.hit(k)) for old, new in pairs])
     plan = design_of(first).plan(those, change)
     draws = [100 * (some @ change) / some.sum(axis=1) for some in plan.weights(seed=seed, times=times)]
@@ -145,9 +145,9 @@ def design_of(result: Result) -> Design:
     """Which queries hang together, as it was when the result was made."""
     by = result.drawn.get("by", "query")
     if by == "group":
-        return Design("group", groups=tuple(one.group or one.query for one in result.verdicts))
+        return Design("group", groups=tuple(one.group or one.query for one in result.per_query))
     if by == "block":
-        return Design("block", order=along([Path(one.query) for one in result.verdicts]))
+        return Design("block", order=along([Path(one.query) for one in result.per_query]))
     return Design("query")
 
 

@@ -108,7 +108,7 @@ class Case:
     weight: float = 1.0
 
 
-class Judged(NamedTuple):
+class Predictions(NamedTuple):
     """Confidence beside truth, one entry a case.
 
     Args:
@@ -137,7 +137,7 @@ class Bin(NamedTuple):
 
 def calibrate(
     cases: Sequence[Case], *, precision: float = 0.95, seed: int = 0, provenance: str = ""
-) -> tuple[Calibration, Judged]:
+) -> tuple[Calibration, Predictions]:
     """Fit a calibration, and judge it out of fold.
 
     The sharpness is the one of least loss out of fold; `min_confidence` the lowest at which `precision` of the
@@ -168,20 +168,20 @@ def calibrate(
     return calibration, seen.judged(sure[best], calibration.radius)
 
 
-def judge(cases: Sequence[Case], calibration: Calibration) -> Judged:
+def judge(cases: Sequence[Case], calibration: Calibration) -> Predictions:
     """What a calibration says of cases it was not fitted on."""
     seen = _seen(cases, calibration.sharpness)
     sure = [confidence(Evidence(*one), calibration) for one in seen.evidence]
     return seen.judged(np.array(sure), calibration.radius)
 
 
-def reliability(judged: Judged) -> list[Bin | None]:
+def reliability(judged: Predictions) -> list[Bin | None]:
     """How often what is so sure is right, in `BINS` steps of confidence; None for a step without a case."""
     step = np.minimum((judged.confidence * BINS).astype(int), BINS - 1)
     return [_bin(judged, step == number) for number in range(BINS)]
 
 
-def _bin(judged: Judged, here: Flags) -> Bin | None:
+def _bin(judged: Predictions, here: Flags) -> Bin | None:
     if not here.any():
         return None
     weight = judged.weight[here]
@@ -189,18 +189,18 @@ def _bin(judged: Judged, here: Flags) -> Bin | None:
     return Bin(int(here.sum()), float(weight.sum() / judged.weight.sum()), float(sure), float(right))
 
 
-def calibration_error(judged: Judged) -> float:
+def calibration_error(judged: Predictions) -> float:
     """Expected calibration error: how far confidence and share of right ones are apart, on average."""
     return sum(one.weight * abs(one.confidence - one.right) for one in reliability(judged) if one)
 
 
-def log_loss(judged: Judged) -> float:
+def log_loss(judged: Predictions) -> float:
     """Mean surprise at the truth, in nats; confidence that is always right has none."""
     given = np.where(judged.right, judged.confidence, 1 - judged.confidence)
     return float(-np.average(np.log(np.clip(given, 1e-12, 1)), weights=judged.weight))
 
 
-def threshold(judged: Judged, precision: float) -> float:
+def threshold(judged: Predictions, precision: float) -> float:
     """The lowest confidence from which on that share is right; the highest there is where none does it."""
     order = np.argsort(-judged.confidence, kind="stable")
     sure, weight = judged.confidence[order], judged.weight[order]
@@ -227,8 +227,8 @@ class _Seen(NamedTuple):
     scatter_m: Numbers
     weight: Numbers
 
-    def judged(self, sure: Numbers, radius: float = 1.0) -> Judged:
-        return Judged(sure, self.right, self.error_m, radius * self.scatter_m, self.weight)
+    def judged(self, sure: Numbers, radius: float = 1.0) -> Predictions:
+        return Predictions(sure, self.right, self.error_m, radius * self.scatter_m, self.weight)
 
 
 def _seen(cases: Sequence[Case], sharpness: float) -> _Seen:

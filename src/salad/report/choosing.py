@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
-from salad.evaluation.result import Verdict
+from salad.evaluation.result import QueryResult
 
 Outcome: TypeAlias = Literal["right", "wrong", "unanswerable"]
 OUTCOMES: tuple[Outcome, ...] = ("right", "wrong", "unanswerable")
@@ -16,20 +16,20 @@ UNANSWERABLE = 4
 """Queries on it that nothing is right for."""
 
 
-def outcome(one: Verdict) -> Outcome:
+def outcome(one: QueryResult) -> Outcome:
     """Whether the best match is right; a query without a right reference can only be answered wrongly."""
     if not one.positives:
         return "unanswerable"
     return "right" if one.hit(1) else "wrong"
 
 
-def counts(verdicts: Sequence[Verdict]) -> dict[Outcome, int]:
+def counts(verdicts: Sequence[QueryResult]) -> dict[Outcome, int]:
     """How many came to what, none left out."""
     found = Counter(map(outcome, verdicts))
     return {each: found[each] for each in OUTCOMES}
 
 
-def surest(verdicts: Sequence[Verdict], kind: Outcome = "wrong", *, most: int = SHOWN) -> list[int]:
+def surest(verdicts: Sequence[QueryResult], kind: Outcome = "wrong", *, most: int = SHOWN) -> list[int]:
     """The answers of one kind with the highest scores, the surest first; numbers from 0."""
     scored = [
         (-one.scores[0], number) for number, one in enumerate(verdicts) if one.scores and outcome(one) == kind
@@ -37,7 +37,7 @@ def surest(verdicts: Sequence[Verdict], kind: Outcome = "wrong", *, most: int = 
     return [number for _, number in sorted(scored)[:most]]
 
 
-def worst(verdicts: Sequence[Verdict], *, besides: Sequence[int] = (), most: int = SHOWN) -> list[int]:
+def worst(verdicts: Sequence[QueryResult], *, besides: Sequence[int] = (), most: int = SHOWN) -> list[int]:
     """The answers farthest from the truth: in metres where known, else by how late the right one came.
 
     Args:
@@ -49,7 +49,7 @@ def worst(verdicts: Sequence[Verdict], *, besides: Sequence[int] = (), most: int
     return sorted(set(wrong) - set(besides), key=lambda number: (_badness(verdicts[number]), number))[:most]
 
 
-def _badness(one: Verdict) -> tuple[float, ...]:
+def _badness(one: QueryResult) -> tuple[float, ...]:
     """Sorts the worst first: known metres before unknown, never found before found late, sure before unsure."""
     far = 1.0 if one.metres is None else -one.metres
     late = float(one.first_right or 0)

@@ -45,7 +45,7 @@ def draw_drive(result: Result, numbers: Sequence[int], linked: Collection[int]) 
 
 def _rows(result: Result, numbers: Sequence[int]) -> Iterable[tuple[str, Sequence[int]]]:
     """Queries in rows of one length as far as they go, each with a name."""
-    verdicts = result.verdicts
+    verdicts = result.per_query
     frames = along([Path(verdicts[number].query) for number in numbers])
     order = [number for _, number in sorted(zip(frames, numbers, strict=True))]
     groups: dict[str | None, list[int]] = {}
@@ -72,7 +72,7 @@ def _cells(
     """A cell for each query; where `only` is given, the others are drawn as one shape a kind."""
     crowds = dict.fromkeys(OUTCOMES, "")
     for place, number in enumerate(cells):
-        one = result.verdicts[number]
+        one = result.per_query[number]
         shape = _shape(outcome(one), NAMES + wide * place, middle, wide)
         if only is None or number in only:
             yield named(one, number, f'<path class="mark" d="{shape}"/>', linked=number in linked)

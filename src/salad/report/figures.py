@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from salad._version import __version__
 from salad.evaluation.bootstrap import Interval
-from salad.evaluation.result import Result, Verdict
+from salad.evaluation.result import QueryResult, Result
 from salad.geo import told_metres
 from salad.report.choosing import OUTCOMES, counts
 from salad.report.words import ends, exact, several, shown, whole
@@ -37,7 +37,7 @@ def facts(result: Result) -> str:
 def tallies(result: Result) -> str:
     """How many queries came to what: the map's key."""
     said = {"right": "right", "wrong": "wrong", "unanswerable": "without a right reference"}
-    found = counts(result.verdicts)
+    found = counts(result.per_query)
     return "".join(
         f'<span class="{kind}"><span class="glyph" aria-hidden="true"></span>'
         f'<b class="count-{kind}">{found[kind]:,}</b> {said[kind]}</span>'
@@ -102,8 +102,8 @@ def drawn(result: Result) -> str:
 
 def groups(result: Result) -> str:
     """R@1 of each group, the worst first; nothing where no groups are known."""
-    some: dict[str, list[Verdict]] = {}
-    for one in result.verdicts:
+    some: dict[str, list[QueryResult]] = {}
+    for one in result.per_query:
         if one.group is not None and result.counts(one):
             some.setdefault(one.group, []).append(one)
     if len(some) < 2:

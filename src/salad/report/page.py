@@ -67,7 +67,7 @@ def draw_report(result: Result, page: Path, model: Describes | None = None) -> t
     Raises:
         BenchmarkError: the result has no recall to show.
     """
-    if not result.recall or not result.verdicts:
+    if not result.recall or not result.per_query:
         raise BenchmarkError(
             f"the result of {result.model} on {result.benchmark} has no recall to show: judge it anew"
         )
@@ -76,7 +76,7 @@ def draw_report(result: Result, page: Path, model: Describes | None = None) -> t
     where = _map(result, {number for numbers in chosen.values() for number in numbers})
     mistakes, curves = _mistakes(chosen, pictures, where), _plots(result)
     gone = _gone(pictures)
-    flat = not any(position(one.where) for one in result.verdicts)  # a drive leaves room for the curves
+    flat = not any(position(one.where) for one in result.per_query)  # a drive leaves room for the curves
     text = Template(_asset("page.html")).substitute(
         css=_asset("page.css"),
         title=shown(f"{result.model} on {result.benchmark}, {result.protocol}"),
@@ -113,10 +113,10 @@ def _map(result: Result, linked: set[int]) -> str:
     """A map of the queries whose places are known, and a strip of the others."""
     places = {
         number: where
-        for number, one in enumerate(result.verdicts)
+        for number, one in enumerate(result.per_query)
         if (where := position(one.where)) is not None
     }
-    others = [number for number in range(len(result.verdicts)) if number not in places]
+    others = [number for number in range(len(result.per_query)) if number not in places]
     parts = []
     if places:
         parts += [draw_maps(result, places, linked), MAP_KEY]
@@ -139,16 +139,16 @@ def _plots(result: Result) -> str:
 
 def _chosen(result: Result) -> dict[tuple[str, str], list[int]]:
     """The queries whose photos are shown, by what stands above them."""
-    sure = surest(result.verdicts)
+    sure = surest(result.per_query)
     farthest = "farthest from where the photo was taken"
     last = "whose right reference was found last, or not at all"
     return {
         ("Surest mistakes", "Wrong answers with the highest scores: a threshold takes these out last."): sure,
         ("Worst mistakes", f"Answers {last if result.distances is None else farthest}."): worst(
-            result.verdicts, besides=sure
+            result.per_query, besides=sure
         ),
         ("Believed without reason", "The highest scores of queries that no reference is right for."): surest(
-            result.verdicts, "unanswerable", most=UNANSWERABLE
+            result.per_query, "unanswerable", most=UNANSWERABLE
         ),
     }
 

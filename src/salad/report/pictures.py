@@ -43,7 +43,7 @@ class Pictures:
 
     def query(self, number: int) -> str:
         """A query's photo, by its number from 0."""
-        name = self.result.verdicts[number].query
+        name = self.result.per_query[number].query
         return self._linked(self.result.folders[1], name, f"Query {name}")
 
     def reference(self, row: int) -> str:

@@ -61,7 +61,7 @@ PERCENT = Axis("of queries, %", 0, 100, SHARES)
 
 def recall_plot(result: Result) -> str:
     """Recall over k, with the interval of every k that is reported."""
-    counted = [one for one in result.verdicts if result.counts(one)]
+    counted = [one for one in result.per_query if result.counts(one)]
     deepest = max(result.recall)
     ranks = np.array([one.first_right or math.inf for one in counted])
     line = [(float(k), 100 * float(np.mean(ranks <= k))) for k in _some(deepest)]
@@ -92,7 +92,7 @@ def metres_plot(result: Result) -> str:
     known = result.distances
     if known is None:
         return ""
-    told = [one.metres for one in result.verdicts if result.counts(one)]
+    told = [one.metres for one in result.per_query if result.counts(one)]
     apart = sorted(metres for metres in told if metres is not None and math.isfinite(metres))
     reach = max([*known.within, *apart, 10])
     high = min(10.0 ** math.ceil(math.log10(reach)), METRES[1])

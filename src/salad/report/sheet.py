@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from salad.evaluation.result import Degrees, Result, Verdict
+from salad.evaluation.result import Degrees, QueryResult, Result
 from salad.geo import EARTH_RADIUS_M, round_metres, told_metres
 from salad.report.choosing import OUTCOMES, Outcome, outcome
 from salad.report.words import shown
@@ -117,7 +117,7 @@ def _ways(frame: Frame, result: Result, places: Mapping[int, Degrees]) -> str:
     """From each query that was answered wrongly to where it was thought to be; many are drawn faintly."""
     ways: dict[Outcome, list[str]] = {kind: [] for kind in OUTCOMES}
     for number, here in places.items():
-        one = result.verdicts[number]
+        one = result.per_query[number]
         there = position(result.known[one.matches[0]].where) if one.matches else None
         if there is not None and not one.hit(1):
             (x, y), (to_x, to_y) = frame.at(here), frame.at(there)
@@ -138,16 +138,16 @@ def _queries(
 ) -> Iterable[str]:
     """A mark for each query, the right ones below; very many unnamed ones as one shape a kind."""
     for kind in OUTCOMES:
-        some = [number for number in places if outcome(result.verdicts[number]) == kind]
+        some = [number for number in places if outcome(result.per_query[number]) == kind]
         crowd = [number for number in some if number not in linked] if len(places) > SINGLE else []
         if crowd:
             yield f'<path class="crowd {kind}" d="{_dots([frame.at(places[number]) for number in crowd])}"/>'
         for number in some if not crowd else (number for number in some if number in linked):
             x, y = frame.at(places[number])
-            yield named(result.verdicts[number], number, _mark(kind, x, y), linked=number in linked)
+            yield named(result.per_query[number], number, _mark(kind, x, y), linked=number in linked)
 
 
-def named(one: Verdict, number: int, shape: str, *, linked: bool) -> str:
+def named(one: QueryResult, number: int, shape: str, *, linked: bool) -> str:
     """A query's mark with what became of it in words, and the way to its strip where it has one."""
     kind = outcome(one)
     said = f"{one.query}: {kind}" + (f", {told_metres(one.metres)} off" if one.metres is not None else "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from salad.evaluation.result import Verdict
+from salad.evaluation.result import QueryResult
 from salad.geo import told_metres
 from salad.report.choosing import outcome
 from salad.report.pictures import Pictures
@@ -17,7 +17,7 @@ def draw_strip(number: int, pictures: Pictures, *, marked: bool = True) -> str:
         pictures: of the result that it is one of.
         marked: whether the query has a mark on the map or the drive, which the card then leads back to.
     """
-    one = pictures.result.verdicts[number]
+    one = pictures.result.per_query[number]
     group = f'<p class="group">{shown(one.group)}</p>' if one.group is not None else ""
     back = f'<a class="to-map" href="#map-{number + 1}">where it is</a>' if marked else ""
     photos = (
@@ -32,7 +32,7 @@ def draw_strip(number: int, pictures: Pictures, *, marked: bool = True) -> str:
 <div class="photos">{"".join(photos)}</div></article>"""
 
 
-def _said(one: Verdict) -> str:
+def _said(one: QueryResult) -> str:
     if not one.positives:
         return "no reference is right"
     if one.metres is not None:
@@ -42,7 +42,7 @@ def _said(one: Verdict) -> str:
     return f"not among {len(one.matches)}" if one.matches else "nothing found"
 
 
-def _found(one: Verdict, pictures: Pictures) -> str:
+def _found(one: QueryResult, pictures: Pictures) -> str:
     if not one.matches:
         return _figure("found", '<span class="picture gone">nothing</span>', "found", "")
     best = one.matches[0]
@@ -51,7 +51,7 @@ def _found(one: Verdict, pictures: Pictures) -> str:
     return _figure("found wrong", pictures.reference(best), f"found {score}", name)
 
 
-def _right(one: Verdict, pictures: Pictures) -> str:
+def _right(one: QueryResult, pictures: Pictures) -> str:
     if one.right is None or one.right not in pictures.result.known:
         return _figure("missed", '<span class="picture gone">none of the references</span>', "right", "")
     rank = (
