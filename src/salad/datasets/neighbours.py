@@ -1,49 +1,53 @@
-"""Who is at most so many metres away, among millions: a grid of cubes, kept as one sorted array of numbers.
+"""Who is at most so many metres away, among millions: a tree of points, asked a block of queries at a time.
 
-No matrix of pairs is built and nothing is kept for an empty cube: 2.8 million references take some 100 MB and a sort.
-Two measures are known. Along the earth, by latitude and longitude, no zone, date line or pole is special. On the map,
-by the metres of one UTM zone, as published sets measure; two photos of different zones are then measured along the
-earth, since their metres east have nothing to do with one another.
+No matrix of pairs is built. Two measures are known. Along the earth, by latitude and longitude, no zone, date line or
+pole is special. On the map, by the metres of one UTM zone, as published sets measure; two photos of different zones are
+then measured along the earth, since their metres east have nothing to do with one another.
+
+The tree only proposes who may be near, by straight lines through space. Who is near is settled by the metres that
+everything else here is told in, so that a distance exactly on the bound counts as it should.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 
 from salad.datasets.compact_lists import Ragged
 from salad.errors import BenchmarkError
 from salad.geo import EARTH_RADIUS_M, GeoPoint, metres
 
-_BITS = 21  # of a cube's number along each axis: three of them fill a positive int64
-_AT_ONCE = 1 << 21  # pairs measured at once: some 100 MB
-_STRETCH = 1.02  # more than a UTM zone and the sphere stretch any distance
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
-Measure = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]]
+_AT_ONCE = 1 << 21  # pairs measured at once: some 200 MB, most of it lists of Python's numbers
+_STRETCH = 1.02  # more than a UTM zone and the sphere stretch any distance
+_FAR = 1e149  # metres: the tree squares distances, and those of a damaged table's numbers must not overflow
 
 
 @dataclass(frozen=True, eq=False)
-class Spots:
+class Coordinates:
     """Where photos stand, on the map and on the earth, as far as each is known.
 
     Attributes:
-        grid: `[N, 2]` metres east and north, as written.
+        utm: `[N, 2]` metres east and north, as written.
         zone: `[N]` the UTM zone they are counted in, negative south of the equator, 0 where nobody says.
-        globe: `[N, 2]` latitudes and longitudes in degrees, NaN where unknown.
+        lat_lon: `[N, 2]` latitudes and longitudes in degrees, NaN where unknown.
     """
 
-    grid: Float64[np.ndarray, "n 2"]
+    utm: Float64[np.ndarray, "n 2"]
     zone: Int64[np.ndarray, " n"]
-    globe: Float64[np.ndarray, "n 2"]
+    lat_lon: Float64[np.ndarray, "n 2"]
 
     def __len__(self) -> int:
-        return len(self.grid)
+        return len(self.utm)
 
 
 def near_on_earth(
@@ -52,191 +56,109 @@ def near_on_earth(
     """For each query the rows of the references at most `radius` metres away along the great circle, ascending.
 
     Args:
-        queries: latitudes and longitudes in degrees.
-        references: the same.
-        radius: metres, above 0.
+        queries: Latitudes and longitudes in degrees.
+        references: The same.
+        radius: Metres, above 0.
     """
 
-    def apart(ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> NDArray[np.float64]:
-        return metres(*queries[ours].T, *references[theirs].T)
+    def distance(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArray[np.float64]:
+        return metres(*queries[query].T, *references[reference].T)
 
-    return _measured(_space(queries), _space(references), _side(radius), radius, apart)
+    return _within(_in_space(queries), _in_space(references), radius, distance)
 
 
-def near_on_map(queries: Spots, references: Spots, radius: float) -> Ragged:
+def near_on_map(queries: Coordinates, references: Coordinates, radius: float) -> Ragged:
     """For each query the rows of the references at most `radius` metres away on the map, ascending.
 
     Raises:
-        BenchmarkError: photos are of different zones, or some of none, and one has no latitude and longitude.
+        BenchmarkError: If photos are of different zones, or some of none, and one has no latitude and longitude.
     """
 
-    def flat(ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> NDArray[np.float64]:
-        away: NDArray[np.float64] = np.hypot(*(queries.grid[ours] - references.grid[theirs]).T)
+    def on_map(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArray[np.float64]:
+        away: NDArray[np.float64] = np.hypot(*(queries.utm[query] - references.utm[reference]).T)
         return away
 
-    def apart(ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> NDArray[np.float64]:
-        around = metres(*queries.globe[ours].T, *references.globe[theirs].T)
-        return np.where(queries.zone[ours] == references.zone[theirs], flat(ours, theirs), around)
+    def distance(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArray[np.float64]:
+        around = metres(*queries.lat_lon[query].T, *references.lat_lon[reference].T)
+        return np.where(queries.zone[query] == references.zone[reference], on_map(query, reference), around)
 
     zones = np.unique(np.concatenate([queries.zone, references.zone]))
     if len(zones) == 1:
-        origin = references.grid.min(axis=0)
-        return _measured(queries.grid - origin, references.grid - origin, _side(radius), radius, flat)
-    _check_zones(queries, references, zones)
-    return _measured(_space(queries.globe), _space(references.globe), _side(radius * _STRETCH), radius, apart)
-
-
-def _side(radius: float) -> float:
-    """Of cubes that hold a radius; a little larger, so that rounding loses no neighbour."""
-    return radius * (1 + 1e-6) + 1e-3
-
-
-def _check_zones(queries: Spots, references: Spots, zones: Int64[np.ndarray, " z"]) -> None:
-    lost = sum(int(np.isnan(spots.globe[:, 0]).sum()) for spots in (queries, references))
-    if lost:
+        ours, theirs = (np.clip(side.utm, -_FAR, _FAR) for side in (queries, references))
+        return _within(ours, theirs, radius, on_map)
+    unknown = sum(int(np.isnan(side.lat_lon[:, 0]).sum()) for side in (queries, references))
+    if unknown:
         raise BenchmarkError(
-            f"photos are counted in {len(zones)} UTM zones (0 where none is said: {zones.tolist()}), and {lost} have "
-            "no latitude and longitude to compare across zones: write zone and letter into every name"
+            f"photos are counted in {len(zones)} UTM zones (0 where none is said: {zones.tolist()}), and {unknown} "
+            "have no latitude and longitude to compare across zones: write zone and letter into every name"
         )
+    places = _in_space(queries.lat_lon), _in_space(references.lat_lon)
+    return _within(*places, radius, distance, reach=radius * _STRETCH)
 
 
-def _space(globe: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
-    """Metres from the earth's centre; two points near each other are near in space, wherever they are."""
-    lat, lon = np.radians(globe.reshape(-1, 2)).T
-    unit = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-    space: NDArray[np.float64] = unit * EARTH_RADIUS_M
-    return space
-
-
-def _measured(
-    ours: Float64[np.ndarray, "q d"],
-    theirs: Float64[np.ndarray, "r d"],
-    side: float,
+def _within(
+    queries: Float64[np.ndarray, "q d"],
+    references: Float64[np.ndarray, "r d"],
     radius: float,
-    apart: Measure,
+    distance: Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]],
+    reach: float | None = None,
 ) -> Ragged:
-    """Measure the pairs in touching cubes of that side, and keep those within the radius."""
-    grid = _Cubes(theirs, max(side, _extent(theirs) / (1 << (_BITS - 1))))
-    values: list[NDArray[np.int64]] = []
-    counts = np.zeros(len(ours), dtype=np.int64)
-    for queries, references in grid.candidates(ours):
-        near: Bool[np.ndarray, " p"] = apart(queries, references) <= radius
-        hit, found = queries[near], references[near]
-        values.append(found[np.lexsort((found, hit))])
-        counts += np.bincount(hit, minlength=len(ours))
+    """For each query the rows of the references whose `distance` is at most `radius`, ascending.
+
+    Args:
+        queries: Points in metres.
+        references: The same.
+        radius: Metres.
+        distance: Metres between rows of queries and rows of references, pair by pair.
+        reach: Metres in a straight line in which a reference may be near; the radius where it is not given.
+    """
+    tree, reach = _tree(references), _widened(radius if reach is None else reach)
+    # Counted first, which is cheap: a block of queries must not propose more pairs than fit into memory.
+    proposed = np.cumsum(tree.query_ball_point(queries, reach, return_length=True))
+    found: list[NDArray[np.int64]] = []
+    counts = np.zeros(len(queries), dtype=np.int64)
+    begin = 0
+    while begin < len(queries):
+        before = int(proposed[begin - 1]) if begin else 0
+        end = max(begin + 1, int(np.searchsorted(proposed, before + _AT_ONCE, side="right")))
+        rows = tree.query_ball_point(queries[begin:end], reach, return_sorted=True)
+        lengths = np.diff(proposed[begin:end], prepend=before)
+        query = np.repeat(np.arange(begin, end), lengths)
+        reference = np.fromiter(itertools.chain.from_iterable(rows), np.int64, len(query))
+        near = distance(query, reference) <= radius
+        found.append(reference[near])
+        counts += np.bincount(query[near], minlength=len(queries))
+        begin = end
     ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return Ragged(np.concatenate([np.zeros(0, np.int64), *values]), ends)
-
-
-def _extent(points: Float64[np.ndarray, "n d"]) -> float:
-    """How wide points lie; half as many cubes as there are numbers for fit into it."""
-    return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-
-
-class _Cubes:
-    """Points by the cube they lie in: each cube a number, the numbers sorted."""
-
-    def __init__(self, points: Float64[np.ndarray, "n d"], side: float) -> None:
-        self._side = side
-        self._origin = points.min(axis=0) - 2 * side  # so that no neighbour's number is negative
-        keys = self._keys(points)
-        self._order = np.argsort(keys, kind="stable")
-        self._sorted = keys[self._order]
-
-    def candidates(
-        self, points: Float64[np.ndarray, "q d"]
-    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """Pairs of a query's and a reference's row, from cubes that touch, whole queries at a time in their order."""
-        starts, stops = self._ranges(points)
-        totals = np.cumsum((stops - starts).sum(axis=1))
-        begin = 0
-        while begin < len(points):
-            before = int(totals[begin - 1]) if begin else 0
-            end = max(begin + 1, int(np.searchsorted(totals, before + _AT_ONCE, side="right")))
-            yield self._pairs(begin, starts[begin:end], stops[begin:end])
-            begin = end
-
-    def _ranges(
-        self, points: Float64[np.ndarray, "q d"]
-    ) -> tuple[Int64[np.ndarray, "q k"], Int64[np.ndarray, "q k"]]:
-        """Where the cubes around each point begin and end; three along the last axis are one range."""
-        keys = self._keys(points)
-        around = list(itertools.product((-1, 0, 1), repeat=points.shape[1] - 1))
-        steps = np.array(
-            [sum(step << (_BITS * place) for place, step in enumerate(at, 1)) for at in around],
-            dtype=np.int64,
-        )
-        middles = keys[:, None] + steps
-        starts = np.searchsorted(self._sorted, middles - 1, side="left")
-        stops = np.searchsorted(self._sorted, middles + 1, side="right")
-        return starts.astype(np.int64), stops.astype(np.int64)
-
-    def _pairs(
-        self, begin: int, starts: Int64[np.ndarray, "q k"], stops: Int64[np.ndarray, "q k"]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Spell ranges out: the query's row and the reference's row of each member."""
-        lengths = (stops - starts).ravel()
-        ends = np.cumsum(lengths)
-        inside = np.arange(ends[-1]) - np.repeat(ends - lengths, lengths)
-        references = self._order[np.repeat(starts.ravel(), lengths) + inside]
-        queries = begin + np.repeat(np.repeat(np.arange(len(starts)), starts.shape[1]), lengths)
-        return queries, references
-
-    def _keys(self, points: Float64[np.ndarray, "n d"]) -> Int64[np.ndarray, " n"]:
-        """A number for each point's cube; who is far outside counts as at the edge, where no reference is."""
-        cubes = np.floor((points - self._origin) / self._side)
-        cubes = np.clip(cubes, 0, (1 << _BITS) - 2).astype(np.int64)
-        keys = np.zeros(len(points), dtype=np.int64)
-        for axis in range(points.shape[1]):
-            keys |= cubes[:, axis] << (_BITS * axis)
-        return keys
-
-
-# --- Which places are near to one another, and squares that cover the earth; neither knows any edge of a zone ---
-
-
-_AROUND = list(itertools.product((-1, 0, 1), repeat=3))
+    return Ragged(np.concatenate([np.zeros(0, np.int64), *found]), ends)
 
 
 class Neighbours:
     """Who is nearer than `apart_m` metres to whom; prepared once, asked often.
 
-    Points are sorted into cubes of that side that fill the space around the earth's centre, so that two points
-    near each other are always in the same cube or in two that touch: across the edge of a UTM zone, across the
-    date line and at the poles as anywhere else.
-
     Args:
-        points: one a place; None where nobody knows, which is near to nothing.
-        apart_m: in metres; at 0 nothing is near to anything.
+        points: One a place; None where nobody knows, which is near to nothing.
+        apart_m: In metres; at 0 nothing is near to anything.
     """
 
     def __init__(self, points: Sequence[GeoPoint | None], apart_m: float) -> None:
         self._apart_m = apart_m
-        self._lat = np.array([math.nan if point is None else point.lat for point in points], dtype=np.float64)
-        self._lon = np.array([math.nan if point is None else point.lon for point in points], dtype=np.float64)
-        self._cubes: dict[tuple[int, int, int], list[int]] = {}
-        known = np.flatnonzero(np.isfinite(self._lat)) if apart_m > 0 else np.zeros(0, np.int64)
-        self._cube_of = dict(zip(known.tolist(), self._cube(known), strict=True))
-        for number, cube in self._cube_of.items():
-            self._cubes.setdefault(cube, []).append(number)
+        known = [(point.lat, point.lon) if point else (math.nan, math.nan) for point in points]
+        self._lat_lon = np.array(known, dtype=np.float64).reshape(-1, 2)
+        self._known = np.flatnonzero(np.isfinite(self._lat_lon[:, 0]))
+        self._space = _in_space(self._lat_lon)
+        self._tree = _tree(self._space[self._known])
 
     def of(self, number: int) -> NDArray[np.int64]:
         """Ascending numbers of the points nearer than `apart_m` to that one, itself not among them."""
-        if number not in self._cube_of:
+        here = self._lat_lon[number]
+        if np.isnan(here[0]):
             return np.zeros(0, dtype=np.int64)
-        x, y, z = self._cube_of[number]
-        touching = (self._cubes.get((x + i, y + j, z + k), []) for i, j, k in _AROUND)
-        others = np.array(sorted(itertools.chain.from_iterable(touching)), dtype=np.int64)
-        away = metres(self._lat[number], self._lon[number], self._lat[others], self._lon[others])
+        rows = self._tree.query_ball_point(self._space[number], _widened(self._apart_m), return_sorted=True)
+        others = self._known[rows]
+        away = metres(*here, *self._lat_lon[others].T)
         near: NDArray[np.int64] = others[(away < self._apart_m) & (others != number)]
         return near
-
-    def _cube(self, numbers: NDArray[np.int64]) -> list[tuple[int, int, int]]:
-        lat, lon = np.radians(self._lat[numbers]), np.radians(self._lon[numbers])
-        unit = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-        side = self._apart_m * (1 + 1e-6) + 1e-3  # a little larger, so that rounding loses no neighbour
-        cubes: list[list[int]] = np.floor(unit * EARTH_RADIUS_M / side).astype(np.int64).tolist()
-        return [(x, y, z) for x, y, z in cubes]
 
 
 def squares(
@@ -250,7 +172,7 @@ def squares(
     Args:
         lat: `[N]` degrees.
         lon: `[N]` degrees.
-        side_m: metres.
+        side_m: Metres.
 
     Returns:
         Two arrays `[N]`.
@@ -261,3 +183,24 @@ def squares(
     pieces = np.ceil(2 * math.pi * EARTH_RADIUS_M * np.cos(middle) / side_m).clip(min=1)
     columns = np.floor((lon + 180) / 360 * pieces) % pieces
     return rows.astype(np.int64), columns.astype(np.int64)
+
+
+def _in_space(lat_lon: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+    """Metres from the earth's centre; two points near each other are near in space, wherever they are."""
+    lat, lon = np.radians(lat_lon.reshape(-1, 2)).T
+    unit = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+    space: NDArray[np.float64] = unit * EARTH_RADIUS_M
+    return space
+
+
+def _widened(reach: float) -> float:
+    """A little more than asked for, so that rounding loses no neighbour."""
+    return min(reach * (1 + 1e-6) + 1e-3, 10 * _FAR)
+
+
+def _tree(points: Float64[np.ndarray, "n d"]) -> cKDTree:
+    # Imported here: it takes a third of a second, and most commands never ask who is near.
+    from scipy.spatial import cKDTree
+
+    # Split in the middle of space, not at the median: 2.8 million photos along streets take 1.9 s in place of 3.0.
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)

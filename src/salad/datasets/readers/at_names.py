@@ -20,7 +20,7 @@ import numpy as np
 
 from salad.datasets.compact_lists import PhotoList
 from salad.datasets.folders import names_below, sides_in
-from salad.datasets.neighbours import Spots
+from salad.datasets.neighbours import Coordinates
 from salad.datasets.readers.base import Layout, Protocol, Sides, spots_of
 from salad.datasets.readers.utm_grid import on_earth, zone_number
 from salad.errors import BenchmarkError
@@ -54,7 +54,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
     return Sides(references, queries, spots=(ours, theirs), groups=panoramas if all(panoramas) else None)
 
 
-def read_side(folder: Path) -> tuple[PhotoList, Spots, tuple[str, ...]]:
+def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
     """A folder's photos, where they stand, and which panorama each is of (empty where it does not say).
 
     Raises:

@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int64
 from salad.datasets.benchmark import Unanswerable
 from salad.datasets.compact_lists import PhotoList, Ragged
 from salad.datasets.folders import frame
-from salad.datasets.neighbours import Spots, near_on_map
+from salad.datasets.neighbours import Coordinates, near_on_map
 from salad.errors import BenchmarkError
 
 # --- what is right -------------------------------------------------------------------------
@@ -129,7 +129,7 @@ class Sides:
 
     references: PhotoList
     queries: PhotoList
-    spots: tuple[Spots, Spots] | None = None
+    spots: tuple[Coordinates, Coordinates] | None = None
     positives: Ragged | None = None
     groups: tuple[str, ...] | None = None
     told_by: str = ""
@@ -221,9 +221,9 @@ def spots_of(
     grid: Float64[np.ndarray, "n 2"],
     zone: Int64[np.ndarray, " n"] | None = None,
     globe: Float64[np.ndarray, "n 2"] | None = None,
-) -> Spots:
+) -> Coordinates:
     """Places on the map, of no zone and nowhere on earth unless that is given."""
-    return Spots(
+    return Coordinates(
         grid,
         np.zeros(len(grid), dtype=np.int64) if zone is None else zone,
         np.full((len(grid), 2), np.nan) if globe is None else globe,

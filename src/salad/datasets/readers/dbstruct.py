@@ -53,12 +53,12 @@ def read(root: Path, protocol: Protocol) -> Sides:
     our_spots = spots_in(_metres(path, told["utmQ"], len(ours)), protocol.zone)
     homes = [root, root / "images", path.parent, root / "raw_data", *(root / stem for stem in protocol.stems)]
     return Sides(
-        photos_at(theirs, homes, listed_in=path, where=their_spots.globe),
+        photos_at(theirs, homes, listed_in=path, where=their_spots.lat_lon),
         photos_at(
             ours,
             (home / below for home in homes for below in _QUERIES),
             listed_in=path,
-            where=our_spots.globe,
+            where=our_spots.lat_lon,
         ),
         spots=(our_spots, their_spots),
         groups=panoramas(ours),

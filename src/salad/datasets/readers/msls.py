@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from salad.datasets.compact_lists import PhotoList
-from salad.datasets.neighbours import Spots
+from salad.datasets.neighbours import Coordinates
 from salad.datasets.readers.base import Layout, Protocol, Sides, spots_of
 from salad.datasets.readers.utm_grid import on_earth
 from salad.errors import BenchmarkError
@@ -190,7 +190,7 @@ def _zone(degrees: Float64[np.ndarray, "n 2"]) -> int:
     return number if lat >= 0 else -number
 
 
-def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, Spots]:
+def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, Coordinates]:
     names = [name for part in parts for name in part.names]
     grid = np.concatenate([part.grid for part in parts])
     zone: Int64[np.ndarray, " n"] = np.repeat(

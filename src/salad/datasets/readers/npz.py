@@ -51,9 +51,12 @@ def read(root: Path, protocol: Protocol) -> Sides:
     distance = _distance(path, arrays["posDistThr"], protocol)
     homes = [root, root / "images", path.parent, root.parent, *(root / stem for stem in protocol.stems)]
     return Sides(
-        photos_at(theirs, homes, listed_in=path, where=their_spots.globe),
+        photos_at(theirs, homes, listed_in=path, where=their_spots.lat_lon),
         photos_at(
-            ours, [*homes, *(home / "queries_real" for home in homes)], listed_in=path, where=our_spots.globe
+            ours,
+            [*homes, *(home / "queries_real" for home in homes)],
+            listed_in=path,
+            where=our_spots.lat_lon,
         ),
         positives=near_on_map(our_spots, their_spots, distance),
         groups=panoramas(ours),

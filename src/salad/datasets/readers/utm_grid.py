@@ -8,7 +8,7 @@ import numpy as np
 import utm  # type: ignore[import-untyped]  # it ships no types
 from jaxtyping import Float64, Int64
 
-from salad.datasets.neighbours import Spots
+from salad.datasets.neighbours import Coordinates
 
 
 def zone_number(text: str) -> int:
@@ -37,7 +37,7 @@ def on_earth(grid: Float64[np.ndarray, "n 2"], zone: Int64[np.ndarray, " n"]) ->
     return globe
 
 
-def spots_in(grid: Float64[np.ndarray, "n 2"], zone: str) -> Spots:
+def spots_in(grid: Float64[np.ndarray, "n 2"], zone: str) -> Coordinates:
     """Places of one zone, such as `17T`; on the map only where the zone is not known."""
     zones = np.full(len(grid), zone_number(zone), dtype=np.int64)
-    return Spots(grid, zones, on_earth(grid, zones))
+    return Coordinates(grid, zones, on_earth(grid, zones))
