@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from salad.cli.compare import benchmark
+from salad.cli.compare import benchmark_by_rule
 from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError
 from salad.evaluation.evaluate import evaluate
@@ -50,7 +50,7 @@ class Set:
 
     def read(self, data: Path) -> Benchmark:
         """The set, from a folder of such sets."""
-        return benchmark(*self.options(data))
+        return benchmark_by_rule(*self.options(data))
 
 
 # A camera that looks the same way again hides what a descriptor makes of another viewpoint, so the two kinds

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from salad.ablation.grids import GRIDS, Row
+from salad.ablation.grids import GRIDS, GridRow
 from salad.datasets.protocols import PROTOCOLS
 
 SOURCE = "Izquierdo and Civera, Optimal Transport Aggregation for Visual Place Recognition, CVPR 2024, arXiv 2311.15937"
@@ -65,11 +65,13 @@ class Claim:
     aside: str = ""
 
 
-def claim(row: Row) -> Claim:
+def claim(row: GridRow) -> Claim:
     """What the paper says of a row of the grids: R@1, and what its first table has more of the three sizes."""
     if row in GRIDS["sizes"]:
         return first(row.name)
-    return Claim(row.title, _of_grid(row), _dim(row), next((one.aside for one in row.paper if one.aside), ""))
+    return Claim(
+        row.title, _of_grid(row), _dim(row), next((one.caveat for one in row.paper if one.caveat), "")
+    )
 
 
 def first(method: str) -> Claim:
@@ -93,11 +95,11 @@ def _pair(cell: str) -> dict[int, float]:
     return {k: float(text) for k, text in zip((1, 5), cell.split("/"), strict=True) if text != "-"}
 
 
-def _of_grid(row: Row) -> dict[str, dict[int, float]]:
+def _of_grid(row: GridRow) -> dict[str, dict[int, float]]:
     return {one.protocol: {1: one.percent} for one in row.paper if one.protocol in PROTOCOLS}
 
 
-def _dim(row: Row) -> int | None:
+def _dim(row: GridRow) -> int | None:
     if not row.paper and row.change:  # a head of ours, of which the paper says nothing
         return None
     sized = row.change if "clusters" in row.change else None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from paper_figures import DEPTH, SIDE, WIDTH, Claim, claim, first
 
 from salad.ablation.grids import GRIDS
-from salad.ablation.outcome import read
+from salad.ablation.run_result import read_result
 from salad.errors import BenchmarkError, WeightsError
 from salad.models.hub import ZOO
 
@@ -141,10 +141,10 @@ def _trained(runs: Path) -> list[Row]:
 
 
 def _terms(run: Path) -> str:
-    """How a run's model was trained, in a few words; nothing where it has come to no outcome."""
-    outcome = read(run)
-    if outcome is None:
+    """How a run's model was trained, in a few words; nothing where it has come to no result."""
+    result = read_result(run)
+    if result is None:
         return ""
-    recipe = outcome.preset["recipe"]
+    recipe = result.preset["recipe"]
     steps = recipe["head_steps"] + recipe["tune_steps"]
-    return f"{steps:,} steps, {outcome.data['photos']:,} photos, from {outcome.start['name']}"
+    return f"{steps:,} steps, {result.data['photos']:,} photos, from {result.start['name']}"

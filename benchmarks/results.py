@@ -24,8 +24,8 @@ from pathlib import Path
 from evaluate_shared import SETS as EVERY
 from results_sets import section
 
-from salad.ablation.grids import GRIDS, rows
-from salad.ablation.summary import write_tables
+from salad.ablation.comparison_tables import write_tables
+from salad.ablation.grids import GRIDS, grid_rows
 from salad.errors import SaladError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,7 +91,7 @@ def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path, *, befo
         parts.append(f"### {HEADINGS[grid]}\n")
         folder = runs / grid
         try:
-            table = write_tables(folder, grid, rows(grid))
+            table = write_tables(folder, grid, grid_rows(grid))
         except SaladError as error:
             print(f"{grid}: {error}", file=sys.stderr)
             parts.append(kept.get(HEADINGS[grid], "There is no result of this grid yet.\n"))

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from salad.ablation.grids import Row
-from salad.ablation.outcome import FILE, Outcome, milliseconds, read, summary
-from salad.ablation.runner import Comparison, Measure
-from salad.ablation.setup import GridSetup
+from salad.ablation.grid_setup import GridSetup
+from salad.ablation.grids import GridRow
+from salad.ablation.run_result import RESULT_FILE, RunResult, read_result
+from salad.ablation.runner import GridBenchmark, GridRunner, data_summary, milliseconds_a_photo
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError, SaladError
@@ -25,16 +25,16 @@ from salad.models.model_folder import load, write_folder
 from salad.network.config import LiteConfig, Preprocessing
 from salad.training.recipe import Preset, Recipe
 
-TERMS = GridSetup(
+SETUP = GridSetup(
     LiteConfig(blocks=2),
     4,
     Preprocessing(32, 32),
     "",
     Recipe(head_steps=1, tune_steps=3, places=2, views=2, held_out=0.34, precision="32-true"),
 )
-GEM = Row("gem", "GeM", "gem", blocks=1)
-CONV = Row("conv-ap", "Conv-AP", "conv-ap", blocks=0)
-VLAD = Row("vlad", "VLAD", "vlad", blocks=0, fitted=True)
+GEM = GridRow("gem", "GeM", "gem", blocks=1)
+CONV = GridRow("conv-ap", "Conv-AP", "conv-ap", blocks=0)
+VLAD = GridRow("vlad", "VLAD", "vlad", blocks=0, fitted=True)
 
 
 @pytest.fixture(scope="module")
@@ -87,19 +87,19 @@ class Judged:
         return {"protocol": self.protocol, "recall": {"1": int(model.fingerprint[:2], 16) / 2.56}}
 
 
-def compared(places: list[TrainingPlace], to: Path, **change: Any) -> Comparison:
+def compared(places: list[TrainingPlace], to: Path, **change: Any) -> GridRunner:
     said: list[str] = []
     options: dict[str, Any] = {
-        "terms": TERMS,
-        "measures": {"town": Measure("frames ±1", Judged())},
-        "teach": Teacher(),
+        "setup": SETUP,
+        "benchmarks": {"town": GridBenchmark("frames ±1", Judged())},
+        "train_model": Teacher(),
         "say": said.append,
     } | change
-    return Comparison(places, to, **options)
+    return GridRunner(places, to, **options)
 
 
-def outcome(to: Path, row: str, seed: int) -> Outcome:
-    found = read(to / row / f"seed{seed}")
+def result_of(to: Path, row: str, seed: int) -> RunResult:
+    found = read_result(to / row / f"seed{seed}")
     assert found is not None
     return found
 
@@ -111,12 +111,16 @@ def test_every_row_is_trained_with_every_seed_and_measured(
     bars: list[str] = []
 
     @contextmanager
-    def watch(doing: str) -> Iterator[Callable[[int, int | None], None]]:
+    def progress_bar(doing: str) -> Iterator[Callable[[int, int | None], None]]:
         bars.append(doing)
         yield lambda done, total: None
 
     made = compared(
-        places, tmp_path, teach=teacher, measures={"town": Measure("frames ±1", judged)}, watch=watch
+        places,
+        tmp_path,
+        train_model=teacher,
+        benchmarks={"town": GridBenchmark("frames ±1", judged)},
+        progress_bar=progress_bar,
     ).run([GEM, CONV], seeds=[0, 1])
     assert teacher.taught == [("gem", 0), ("conv-ap", 0), ("gem", 1), ("conv-ap", 1)]
     assert bars[0] == "gem, seed 0"
@@ -127,7 +131,7 @@ def test_every_row_is_trained_with_every_seed_and_measured(
     }
     for row in ("gem", "conv-ap"):
         for seed in (0, 1):
-            assert outcome(tmp_path, row, seed) in made[row]
+            assert result_of(tmp_path, row, seed) in made[row]
             assert not (tmp_path / row / f"seed{seed}" / "last.ckpt").exists()
 
 
@@ -145,7 +149,7 @@ def test_an_outcome_holds_what_it_takes_to_repeat_it(places: list[TrainingPlace]
     assert found.machine["device"] == "cpu"
     assert found.milliseconds > 0
     assert found.seconds["training"] == 7.5  # as the run's log says
-    assert found.recall("town", 1) == Judged()(model)["recall"]["1"]
+    assert found.benchmarks["town"]["recall"]["1"] == Judged()(model)["recall"]["1"]
 
 
 def test_trained_blocks_count_as_trained(places: list[TrainingPlace], tmp_path: Path) -> None:
@@ -157,49 +161,53 @@ def test_trained_blocks_count_as_trained(places: list[TrainingPlace], tmp_path: 
 
 def test_a_finished_run_is_never_repeated(places: list[TrainingPlace], tmp_path: Path) -> None:
     compared(places, tmp_path).run([GEM], seeds=[0])
-    before = (tmp_path / "gem" / "seed0" / FILE).read_bytes()
+    before = (tmp_path / "gem" / "seed0" / RESULT_FILE).read_bytes()
     teacher, judged = Teacher(), Judged()
-    again = compared(places, tmp_path, teach=teacher, measures={"town": Measure("frames ±1", judged)})
+    again = compared(
+        places, tmp_path, train_model=teacher, benchmarks={"town": GridBenchmark("frames ±1", judged)}
+    )
     again.run([GEM, CONV], seeds=[0])
     assert teacher.taught == [("conv-ap", 0)]
     assert judged.asked == 1
-    assert (tmp_path / "gem" / "seed0" / FILE).read_bytes() == before
+    assert (tmp_path / "gem" / "seed0" / RESULT_FILE).read_bytes() == before
 
 
 def test_an_interrupt_leaves_what_was_finished(places: list[TrainingPlace], tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        compared(places, tmp_path, teach=Teacher(fails_at="conv-ap")).run([GEM, CONV], seeds=[0, 1])
-    assert outcome(tmp_path, "gem", 0).row == "gem"
+        compared(places, tmp_path, train_model=Teacher(fails_at="conv-ap")).run([GEM, CONV], seeds=[0, 1])
+    assert result_of(tmp_path, "gem", 0).row == "gem"
     assert (tmp_path / "conv-ap" / "seed0" / "last.ckpt").is_file()  # from where it goes on
     teacher = Teacher()
-    compared(places, tmp_path, teach=teacher).run([GEM, CONV], seeds=[0, 1])
+    compared(places, tmp_path, train_model=teacher).run([GEM, CONV], seeds=[0, 1])
     assert teacher.taught == [("conv-ap", 0), ("gem", 1), ("conv-ap", 1)]
 
 
 def test_a_new_set_is_measured_with_the_model_there_is(places: list[TrainingPlace], tmp_path: Path) -> None:
     compared(places, tmp_path).run([GEM], seeds=[0])
     first, second, teacher = Judged(), Judged("radius 25 m"), Teacher()
-    sets = {"town": Measure("frames ±1", first), "street": Measure("radius 25 m", second)}
-    compared(places, tmp_path, teach=teacher, measures=sets).run([GEM], seeds=[0])
+    sets = {"town": GridBenchmark("frames ±1", first), "street": GridBenchmark("radius 25 m", second)}
+    compared(places, tmp_path, train_model=teacher, benchmarks=sets).run([GEM], seeds=[0])
     assert (teacher.taught, first.asked, second.asked) == ([], 0, 1)
-    found = outcome(tmp_path, "gem", 0)
+    found = result_of(tmp_path, "gem", 0)
     assert list(found.benchmarks) == ["town", "street"]
-    assert found.recall("town", 1) == found.recall("street", 1)  # the same model
+    assert (
+        found.benchmarks["town"]["recall"]["1"] == found.benchmarks["street"]["recall"]["1"]
+    )  # the same model
 
 
 def test_a_set_of_that_name_by_another_protocol_is_refused(
     places: list[TrainingPlace], tmp_path: Path
 ) -> None:
     compared(places, tmp_path).run([GEM], seeds=[0])
-    other = {"town": Measure("frames ±2", Judged("frames ±2"))}
+    other = {"town": GridBenchmark("frames ±2", Judged("frames ±2"))}
     with pytest.raises(ModelError, match="by the protocol 'frames ±1', not 'frames ±2'"):
-        compared(places, tmp_path, measures=other).run([GEM], seeds=[0])
+        compared(places, tmp_path, benchmarks=other).run([GEM], seeds=[0])
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"recipe": replace(TERMS.recipe, tune_steps=4)}, r"preset\.recipe\.tune_steps: 3, not 4"),
+        ({"recipe": replace(SETUP.recipe, tune_steps=4)}, r"preset\.recipe\.tune_steps: 3, not 4"),
         ({"preprocessing": Preprocessing(36, 36)}, r"preset\.model\.preprocessing\.height: 32, not 36"),
     ],
 )
@@ -208,7 +216,7 @@ def test_a_folder_of_another_run_is_refused_before_any_training(
 ) -> None:
     compared(places, tmp_path).run([GEM], seeds=[0])
     teacher = Teacher()
-    other = compared(places, tmp_path, teach=teacher, terms=replace(TERMS, **change))
+    other = compared(places, tmp_path, train_model=teacher, setup=replace(SETUP, **change))
     with pytest.raises(ModelError, match=f"outcome of another run .{told}.: choose another folder"):
         other.run([CONV, GEM], seeds=[0])
     assert teacher.taught == []
@@ -223,7 +231,7 @@ def test_what_an_older_version_wrote_without_a_setting_is_the_same_run(
     del told["preset"]["recipe"]["tuned_share"]
     path.write_text(json.dumps(told))
     teacher = Teacher()
-    compared(places, tmp_path, teach=teacher).run([GEM], seeds=[0])
+    compared(places, tmp_path, train_model=teacher).run([GEM], seeds=[0])
     assert teacher.taught == []
     told["preset"]["recipe"]["tuned_share"] = 0.5  # but another value of it is another run
     path.write_text(json.dumps(told))
@@ -240,13 +248,15 @@ def test_other_places_are_another_run(places: list[TrainingPlace], tmp_path: Pat
 def test_what_cannot_be_built_stops_everything_at_once(places: list[TrainingPlace], tmp_path: Path) -> None:
     teacher = Teacher()
     with pytest.raises(SaladError):  # 64 tokens are no more than 64 clusters
-        compared(places, tmp_path, teach=teacher).run([GEM, Row("salad", "SALAD", blocks=1)], seeds=[0])
+        compared(places, tmp_path, train_model=teacher).run(
+            [GEM, GridRow("salad", "SALAD", blocks=1)], seeds=[0]
+        )
     assert teacher.taught == []
 
 
 def test_a_row_without_training_is_fitted(places: list[TrainingPlace], tmp_path: Path) -> None:
     teacher = Teacher()
-    made = compared(places, tmp_path, teach=teacher).run([VLAD], seeds=[0, 1])["vlad"]
+    made = compared(places, tmp_path, train_model=teacher).run([VLAD], seeds=[0, 1])["vlad"]
     assert teacher.taught == []
     assert [one.parameters["trained"] for one in made] == [0, 0]
     assert all(one.seconds["training"] >= 0 for one in made)  # it keeps no log
@@ -256,8 +266,8 @@ def test_a_row_without_training_is_fitted(places: list[TrainingPlace], tmp_path:
 
 
 def test_without_places_held_out_there_is_no_precision(places: list[TrainingPlace], tmp_path: Path) -> None:
-    terms = replace(TERMS, recipe=replace(TERMS.recipe, held_out=0.0))
-    (found,) = compared(places, tmp_path, terms=terms).run([GEM], seeds=[0])["gem"]
+    setup = replace(SETUP, recipe=replace(SETUP.recipe, held_out=0.0))
+    (found,) = compared(places, tmp_path, setup=setup).run([GEM], seeds=[0])["gem"]
     assert found.held_out == {}
 
 
@@ -273,9 +283,9 @@ def test_data_are_known_by_names_wherever_they_lie(places: list[TrainingPlace], 
     moved = [
         replace(place, photos=tuple(tmp_path / photo.name for photo in place.photos)) for place in places
     ]
-    assert summary(moved[::-1]) == summary(places)
-    assert summary(places[:5])["digest"] != summary(places)["digest"]
-    assert summary(places)["cities"] == {"set": 6}
+    assert data_summary(moved[::-1]) == data_summary(places)
+    assert data_summary(places[:5])["digest"] != data_summary(places)["digest"]
+    assert data_summary(places)["cities"] == {"set": 6}
 
 
 def test_milliseconds_are_of_one_photo() -> None:
@@ -290,5 +300,5 @@ def test_milliseconds_are_of_one_photo() -> None:
             self.batches.append(len(photos))
 
     model: Any = Counting()
-    assert milliseconds(model, photos=3, rounds=2) >= 0
+    assert milliseconds_a_photo(model, photos=3, rounds=2) >= 0
     assert model.batches == [3, 3, 3]

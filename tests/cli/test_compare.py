@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,61 +11,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from salad.ablation.grids import rows
-from salad.ablation.outcome import Outcome, folder_of, read, write
-from salad.ablation.summary import check_terms, lines_of, write_tables
+from made_results import a_result, put
+from salad.ablation.run_result import read_result, run_folder
 from salad.cli import main as commands
-from salad.cli.compare import CompareCommand, benchmark
-from salad.errors import BenchmarkError, ModelError
-
-RECIPE = {
-    "seed": 0,
-    "head_steps": 1,
-    "tune_steps": 3,
-    "tuned_blocks": 4,
-    "size": None,
-    "places": 16,
-    "views": 4,
-    "held_out": 0.2,
-}
-PRESET = {
-    "model": {"backbone": {"kind": "lite0"}, "preprocessing": {"height": 32, "width": 32}},
-    "recipe": RECIPE,
-}
+from salad.cli.compare import CompareCommand, benchmark_by_rule
+from salad.errors import BenchmarkError
 
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(commands.COMMANDS, "compare", CompareCommand)
-
-
-def an_outcome(row: str, seed: int, percent: float, **change: Any) -> Outcome:
-    recipe = RECIPE | {"seed": seed} | change.pop("recipe", {})
-    made = Outcome(
-        row=row,
-        seed=seed,
-        preset=PRESET | {"recipe": recipe},
-        start={"name": "a.pth", "sha256": "f" * 64},
-        data={"places": 20, "photos": 80, "cities": {"set": 20}, "digest": "d"},
-        dim=544,
-        parameters={"all": 20, "trained": 10},
-        milliseconds=2.0 + seed,
-        held_out={"set": 60.0 + seed, "mean": 60.0 + seed},
-        benchmarks={"town": {"protocol": "frames ±0", "recall": {"1": percent, "5": 100.0}}},
-        seconds={"training": 1.0, "measuring": 1.0},
-        fingerprint="0",
-        versions={"salad": "1", "torch": "2"},
-        machine={"system": "Any", "cores": 2, "threads": 1, "device": "cpu"},
-        finished="2026-01-02",
-    )
-    return replace(made, **change)
-
-
-def put(to: Path, *outcomes: Outcome) -> None:
-    for one in outcomes:
-        folder = folder_of(to, one.row, one.seed)
-        folder.mkdir(parents=True)
-        write(one, folder)
 
 
 def refused(ran: Any) -> str:
@@ -101,7 +55,7 @@ def test_a_grid_is_trained_measured_and_told(cli: Any, photos: Any, data: Path, 
     assert "| GeM | " in ran.out
     assert "| VLAD without training | " in ran.out
     assert "town, frames ±0" in ran.out
-    trained = read(to / "gem" / "seed0")
+    trained = read_result(to / "gem" / "seed0")
     assert trained is not None
     assert (trained.preset["recipe"]["head_steps"], trained.preset["recipe"]["tune_steps"]) == (0, 2)
     result = trained.benchmarks["town"]
@@ -134,7 +88,7 @@ def test_heads_alone_are_compared_under_a_frozen_backbone(
         *("--benchmark", "town", photos.references, photos.queries, "frames:0"),
     )
     assert ran.code == 0, ran.err
-    trained, untrained = read(to / "gem" / "seed0"), read(to / "average" / "seed0")
+    trained, untrained = read_result(to / "gem" / "seed0"), read_result(to / "average" / "seed0")
     assert trained is not None
     assert untrained is not None
     assert trained.preset["recipe"]["head_steps"] == 2
@@ -149,7 +103,7 @@ def test_heads_alone_are_compared_under_a_frozen_backbone(
 
 
 def test_the_tables_are_made_again_from_the_results_there_are(cli: Any, tmp_path: Path) -> None:
-    put(tmp_path, *(an_outcome("small", seed, 50.0 + seed) for seed in (0, 1)), an_outcome("full", 0, 90.0))
+    put(tmp_path, *(a_result("small", seed, 50.0 + seed) for seed in (0, 1)), a_result("full", 0, 90.0))
     ran = cli("compare", "--grid", "sizes", "--to", tmp_path, "--table-only")
     assert ran.code == 0
     small, full = (line for line in ran.out.splitlines() if line.startswith(("| small", "| full")))
@@ -169,7 +123,7 @@ def test_the_tables_are_made_again_from_the_results_there_are(cli: Any, tmp_path
 
 def test_a_set_that_not_every_run_was_measured_on_is_left_out(cli: Any, tmp_path: Path) -> None:
     both = {name: {"protocol": "frames ±0", "recall": {"1": 40.0, "5": 90.0}} for name in ("town", "field")}
-    put(tmp_path, an_outcome("small", 0, 50.0), an_outcome("full", 0, 90.0, benchmarks=both))
+    put(tmp_path, a_result("small", 0, 50.0), a_result("full", 0, 90.0, benchmarks=both))
     ran = cli("compare", "--grid", "sizes", "--to", tmp_path, "--table-only")
     assert ran.code == 0
     head = next(line for line in ran.out.splitlines() if "paper:" in line)
@@ -181,48 +135,6 @@ def test_a_set_that_not_every_run_was_measured_on_is_left_out(cli: Any, tmp_path
 def test_a_table_of_nothing_is_refused(cli: Any, tmp_path: Path) -> None:
     said = refused(cli("compare", "--grid", "blocks", "--to", tmp_path / "none", "--table-only"))
     assert "holds no outcome of a run of the grid blocks" in said
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"recipe": {"tune_steps": 4}}, "steps: 5, not 4"),
-        ({"recipe": {"views": 5}}, "recipe.views: 5, not 4"),
-        ({"start": {"name": "b.pth", "sha256": "0"}}, "start.name: b.pth, not a.pth"),
-        ({"data": {"places": 1, "photos": 4, "cities": {}, "digest": "e"}}, "data: e, not d"),
-    ],
-)
-def test_one_table_holds_equal_terms_only(tmp_path: Path, change: dict[str, Any], told: str) -> None:
-    put(tmp_path, an_outcome("small", 0, 50.0), an_outcome("full", 0, 90.0, **change))
-    with pytest.raises(ModelError, match="equal terms only") as refusal:
-        write_tables(tmp_path, "sizes", rows("sizes"))
-    assert told in str(refusal.value)
-    assert not (tmp_path / "sizes.md").exists()
-
-
-def test_a_run_of_no_steps_stands_beside_the_others() -> None:
-    none = {"head_steps": 0, "tune_steps": 0}
-    check_terms({"gem": [an_outcome("gem", 0, 1.0)], "vlad": [an_outcome("vlad", 0, 1.0, recipe=none)]})
-    check_terms({"vlad": [an_outcome("vlad", 0, 1.0, recipe=none)], "gem": [an_outcome("gem", 0, 1.0)]})
-    other = an_outcome("vlad", 0, 1.0, recipe=none | {"places": 2})
-    with pytest.raises(ModelError, match=r"vlad.seed0 was not run on the terms of .*gem.seed0"):
-        check_terms({"vlad": [other], "gem": [an_outcome("gem", 0, 1.0)]})
-
-
-def test_two_protocols_are_two_columns() -> None:
-    other = {"town": {"protocol": "frames ±2", "recall": {"1": 70.0}}}
-    outcomes = {
-        "small": [an_outcome("small", 0, 50.0), an_outcome("small", 1, 0.0, benchmarks=other, held_out={})],
-        "medium": [],
-        "full": [],
-    }
-    (line,) = lines_of(rows("sizes"), outcomes, {"town"})
-    assert {str(column): by_k[1] for column, by_k in line.recalls.items()} == {
-        "town, frames ±0": [50.0],
-        "town, frames ±2": [70.0],
-    }
-    assert line.facts["precision held out"] == 60.0
-    assert line.published["sped"].percent == 88.5
 
 
 # --- what is refused, before anything is trained -------------------------------------------
@@ -259,31 +171,31 @@ def test_data_start_and_names_are_looked_at_first(cli: Any, photos: Any, data: P
 
 def test_a_benchmark_is_two_folders_and_a_rule(photos: Any, tmp_path: Path) -> None:
     folders = photos.references, photos.queries
-    assert benchmark("town", *folders, "frames:2").protocol == "frames ±2"
+    assert benchmark_by_rule("town", *folders, "frames:2").protocol == "frames ±2"
     truth = tmp_path / "gt.csv"
     truth.write_text(f"query,positives\n{photos.query[0].name},{photos.query[0].name}\n", encoding="utf-8")
-    made = benchmark("town", *folders, f"truth:{truth}")
+    made = benchmark_by_rule("town", *folders, f"truth:{truth}")
     assert (made.name, made.protocol, len(made.queries)) == ("town", "truth gt.csv", 1)
     with pytest.raises(BenchmarkError, match="no position"):  # read, and found to have no geotags
-        benchmark("town", *folders, "radius:25")
+        benchmark_by_rule("town", *folders, "radius:25")
     for rule in ("frames", "frames:", "frames:x", "radius:", "radius:far", "truth", "truth:", ":1", ""):
         with pytest.raises(BenchmarkError, match="'town': what is right is not said by"):
-            benchmark("town", *folders, rule)
+            benchmark_by_rule("town", *folders, rule)
 
 
 def test_the_command_line_starts_without_torch() -> None:
     import subprocess
     import sys
 
-    code = "import sys, salad.cli.compare, salad.ablation.summary; print('torch' in sys.modules)"
+    code = "import sys, salad.cli.compare, salad.ablation.comparison_tables; print('torch' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "False"
 
 
 def test_results_are_json_that_others_can_read(tmp_path: Path) -> None:
     """What `salad evaluate --format json` says of a set stands in it, by the set's name."""
-    put(tmp_path, an_outcome("small", 0, 50.0))
-    told = json.loads((folder_of(tmp_path, "small", 0) / "result.json").read_text(encoding="utf-8"))
+    put(tmp_path, a_result("small", 0, 50.0))
+    told = json.loads((run_folder(tmp_path, "small", 0) / "result.json").read_text(encoding="utf-8"))
     assert told["benchmarks"]["town"]["recall"]["1"] == 50.0
     assert told["format"] == 1
 

@@ -15,11 +15,9 @@ from salad.cli.arguments import Form, Number, positive
 from salad.errors import BenchmarkError
 
 if TYPE_CHECKING:
-    from salad.ablation.grids import Row
-    from salad.ablation.runner import Measure
-    from salad.ablation.setup import GridSetup
+    from salad.ablation.grids import GridRow
+    from salad.ablation.runner import GridBenchmark
     from salad.datasets.benchmark import Benchmark
-    from salad.datasets.training_place import TrainingPlace
     from salad.models.describer import Describer
 
 
@@ -82,14 +80,14 @@ class CompareCommand:
     def run(self) -> int:
         """Compare."""
         if self.files:
-            return self._results()
+            return self._compare_results()
         if self.grid is None or self.to is None:
             raise BenchmarkError(
                 "nothing says what to compare: give two results of `salad evaluate --save`, or --grid and --to"
             )
-        return self._trained(self.grid, self.to)
+        return self._compare_models(self.grid, self.to)
 
-    def _results(self) -> int:
+    def _compare_results(self) -> int:
         from salad.cli.result_tables import compare_results
 
         if self.grid is not None:
@@ -100,55 +98,49 @@ class CompareCommand:
             raise BenchmarkError(f"two results are compared, but {len(self.files)} files are given: give two")
         return compare_results(*self.files, form=self.format)
 
-    def _trained(self, grid: Grid, to: Path) -> int:
-        from salad.ablation.grids import rows
-        from salad.ablation.summary import write_tables
+    def _compare_models(self, grid: Grid, to: Path) -> int:
+        from salad.ablation.comparison_tables import write_tables
+        from salad.ablation.grids import grid_rows
 
-        chosen = rows(grid, self.rows)
+        rows = grid_rows(grid, self.rows)
         if grid == "blocks" and self.frozen:
             raise BenchmarkError("--grid blocks compares how many blocks are trained: leave --frozen out")
         if not self.table_only:
-            self._train(chosen, to)
-        shell.put(write_tables(to, grid, chosen))
-        missing = [row.name for row in chosen if not any((to / row.name).glob("seed*/result.json"))]
+            self._train(rows, to)
+        shell.put(write_tables(to, grid, rows))
+        missing = [row.name for row in rows if not any((to / row.name).glob("seed*/result.json"))]
         if missing:
             shell.say(f"there is no result yet of {', '.join(missing)}")
         shell.say(f"written to {to / grid}.md, .csv and .svg")
         return shell.FOUND
 
-    def _train(self, chosen: Sequence[Row], to: Path) -> None:
+    def _train(self, rows: Sequence[GridRow], to: Path) -> None:
+        """Bring every row to its results; what is wrong with the arguments is said before torch is loaded."""
         positive(self.seeds, "seeds")
         positive(self.size, "size")
         benchmarks = self._benchmarks()
-        places = self._places()
-
-        from salad.ablation.runner import Comparison
-
-        Comparison(
-            places=places,
-            to=to,
-            terms=self._terms(),
-            measures={each.name: _measure(each) for each in benchmarks},
-            accelerator=self.accelerator,
-            device=self.device,
-            say=shell.say,
-            watch=shell.progress,
-        ).run(chosen, seeds=range(self.seeds))
-
-    def _terms(self) -> GridSetup:
-        from salad.ablation.setup import terms, usual_recipe
-
-        recipe = usual_recipe(self.start, frozen=self.frozen)
-        if self.steps is not None:
-            recipe = recipe.of_steps(positive(self.steps, "steps"))
-        return terms(self.start, side=self.size, recipe=recipe, depth=self.depth)
-
-    def _places(self) -> list[TrainingPlace]:
         from salad.datasets.places import find_places
 
         if not self.data:
             raise BenchmarkError("there is nothing to learn from: name a folder with --data")
-        return [place for folder in self.data for place in find_places(folder, say=shell.say)]
+        places = [place for folder in self.data for place in find_places(folder, say=shell.say)]
+
+        from salad.ablation.grid_setup import default_recipe, grid_setup
+        from salad.ablation.runner import GridRunner
+
+        recipe = default_recipe(self.start, frozen=self.frozen)
+        if self.steps is not None:
+            recipe = recipe.of_steps(positive(self.steps, "steps"))
+        GridRunner(
+            places=places,
+            to=to,
+            setup=grid_setup(self.start, side=self.size, recipe=recipe, depth=self.depth),
+            benchmarks={each.name: _grid_benchmark(each) for each in benchmarks},
+            accelerator=self.accelerator,
+            device=self.device,
+            say=shell.say,
+            progress_bar=shell.progress,
+        ).run(rows, seeds=range(self.seeds))
 
     def _benchmarks(self) -> list[Benchmark]:
         if not self.benchmark:
@@ -160,15 +152,15 @@ class CompareCommand:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise BenchmarkError(f"two benchmarks are called {twice[0]!r}: give each a name of its own")
-        return [benchmark(*each) for each in self.benchmark]
+        return [benchmark_by_rule(*each) for each in self.benchmark]
 
 
-def benchmark(name: str, references: Path, queries: Path, rule: str) -> Benchmark:
+def benchmark_by_rule(name: str, references: Path, queries: Path, rule: str) -> Benchmark:
     """A set by its two folders and the rule `frames:N`, `radius:METRES` or `truth:FILE`.
 
     Raises:
-        BenchmarkError: the rule is none of these, or the set cannot be read.
-        PhotoError: a folder is missing or holds no photo.
+        BenchmarkError: If the rule is none of these, or the set cannot be read.
+        PhotoError: If a folder is missing or holds no photo.
     """
     from salad.datasets import benchmark as sets
 
@@ -178,20 +170,20 @@ def benchmark(name: str, references: Path, queries: Path, rule: str) -> Benchmar
             return sets.from_frames(references, queries, int(value), name=name)
         if kind == "radius":
             return sets.from_radius(references, queries, float(value), name=name)
-    except ValueError:
+    except ValueError:  # not a number: refused below, as what is no rule at all
         value = ""
     if kind == "truth" and value:
         return sets.from_truth(references, queries, Path(value), name=name)
     raise BenchmarkError(f"benchmark {name!r}: what is right is not said by {rule!r}: give {RULES}")
 
 
-def _measure(benchmark: Benchmark) -> Measure:
+def _grid_benchmark(benchmark: Benchmark) -> GridBenchmark:
     """How a model is measured on a set: as `salad evaluate` does it."""
-    from salad.ablation.runner import Measure
+    from salad.ablation.runner import GridBenchmark
     from salad.evaluation.evaluate import evaluate
 
-    def judge(model: Describer) -> dict[str, object]:
+    def evaluated(model: Describer) -> dict[str, object]:
         with shell.progress(f"describing {benchmark.name}") as bar:
             return evaluate(benchmark, model, progress=bar).as_dict()
 
-    return Measure(benchmark.protocol, judge)
+    return GridBenchmark(benchmark.protocol, evaluated)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import torch
 
-from salad.ablation.grids import ALL, SHRINK, Row
+from salad.ablation.grids import ALL_BLOCKS, GridRow
 from salad.errors import ModelError, WeightsError
 from salad.models.describer import build
 from salad.models.model_folder import read_tensors
-from salad.network.aggregator_config import AGGREGATORS, AggregatorConfig, for_grid
+from salad.network.aggregator_config import AGGREGATORS, for_grid
 from salad.network.backbones.efficientnet import build_backbone
 from salad.network.checkpoints import recognise
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
@@ -21,6 +21,8 @@ from salad.training.recipe import LITE_PHOTO, PRESETS, Preset, Recipe
 from salad.training.start import imagenet, needs_fitting
 
 IMAGENET = "imagenet"
+TRAINING_SIDE = 224 / 322
+"""The paper's side of a photo in training, as a fraction of its side in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class GridSetup:
     """What every row of a grid has in common.
 
     Args:
-        backbone: the trunk under every aggregator.
+        backbone: the one under every aggregator.
         stride: pixels between two tokens.
         preprocessing: how photos are prepared when the model is used.
         start: where the backbone starts: `imagenet`, or a file.
@@ -48,18 +50,19 @@ class GridSetup:
         return self.backbone.depth if isinstance(self.backbone, ViTConfig) else self.backbone.blocks
 
     @property
-    def grid(self) -> tuple[int, int]:
+    def token_grid(self) -> tuple[int, int]:
         """Rows and columns of tokens in use."""
         size = self.preprocessing
         return max(1, round(size.height / self.stride)), max(1, round(size.width / self.stride))
 
-    def fewer(self) -> int:
+    @property
+    def side_of_fewer_tokens(self) -> int:
         """A side in pixels for training with fewer tokens than are used, as the paper trains."""
-        return max(1, round(self.preprocessing.height * SHRINK / self.stride)) * self.stride
+        return max(1, round(self.preprocessing.height * TRAINING_SIDE / self.stride)) * self.stride
 
 
-def terms(start: str = IMAGENET, *, side: int, recipe: Recipe, depth: int | None = None) -> GridSetup:
-    """The terms for a start.
+def grid_setup(start: str = IMAGENET, *, side: int, recipe: Recipe, depth: int | None = None) -> GridSetup:
+    """The setup that a start asks for.
 
     Args:
         start: `imagenet` for EfficientNet-Lite0's trunk, or a file of a DINOv2 backbone's weights.
@@ -68,83 +71,70 @@ def terms(start: str = IMAGENET, *, side: int, recipe: Recipe, depth: int | None
         depth: blocks kept of a file's backbone, where not all.
 
     Raises:
-        WeightsError: the file cannot be read, or holds no backbone.
-        ModelError: the depth is more than the file holds, or there is none to choose.
+        WeightsError: If the file cannot be read, or holds no backbone.
+        ModelError: If the depth is more than the file holds, or there is none to choose.
     """
+    backbone: LiteConfig | ViTConfig
     if start == IMAGENET:
         if depth is not None:
             raise ModelError(
                 f"a depth of {depth} blocks can be chosen of a file's backbone alone: give --start"
             )
-        return _terms(LiteConfig(), replace(LITE_PHOTO, height=side, width=side), start, recipe)
-    vit = _vit(Path(start))
-    if depth is not None and not 1 <= depth <= vit.depth:
-        raise ModelError(f"a depth of {depth} blocks cannot be kept: {start} holds {vit.depth}")
-    return _terms(replace(vit, depth=depth or vit.depth), Preprocessing(side, side), start, recipe)
-
-
-def _vit(file: Path) -> ViTConfig:
-    tensors = read_tensors(file)
-    try:
-        return recognise(tensors).backbone
-    except WeightsError as error:
-        raise WeightsError(f"{file}: {error}") from error
-
-
-def _terms(backbone: LiteConfig | ViTConfig, photo: Preprocessing, start: str, recipe: Recipe) -> GridSetup:
-    with torch.device("meta"):
+        backbone, photo = LiteConfig(), replace(LITE_PHOTO, height=side, width=side)
+    else:
+        tensors = read_tensors(Path(start))
+        try:
+            vit = recognise(tensors).backbone
+        except WeightsError as error:
+            raise WeightsError(f"{start}: {error}") from error
+        if depth is not None and not 1 <= depth <= vit.depth:
+            raise ModelError(f"a depth of {depth} blocks cannot be kept: {start} holds {vit.depth}")
+        backbone, photo = replace(vit, depth=depth or vit.depth), Preprocessing(side, side)
+    with torch.device("meta"):  # the backbone is asked for its stride: no weight need be made
         stride = build_backbone(backbone).stride
     return GridSetup(backbone, stride, photo, start, recipe)
 
 
-def usual_recipe(start: str, *, frozen: bool = False) -> Recipe:
+def default_recipe(start: str, *, frozen: bool = False) -> Recipe:
     """The recipe of the small preset that begins with such a start; frozen, that of heads on cached tokens."""
     if frozen:
         return PRESETS["head"].recipe
     return PRESETS["small" if start == IMAGENET else "salad-vits"].recipe
 
 
-def preset(terms: GridSetup, row: Row, *, seed: int) -> Preset:
+def row_preset(setup: GridSetup, row: GridRow, *, seed: int) -> Preset:
     """What a row and a seed are trained as; no step at all where nothing of it can be trained.
 
     Raises:
-        ModelError: the row asks for an aggregator or for blocks that are not there.
+        ModelError: If the row asks for an aggregator or for blocks that are not there.
     """
-    config = ModelConfig(
-        name=row.name,
-        backbone=terms.backbone,
-        aggregator=_aggregator(terms, row),
-        preprocessing=terms.preprocessing,
-    )
-    blocks = terms.blocks if row.blocks == ALL else row.blocks
-    if not terms.recipe.tune_steps:
-        blocks = 0
-    if blocks > terms.blocks:
-        raise ModelError(f"the row {row.name} trains {blocks} blocks, but the backbone has {terms.blocks}")
-    recipe = replace(terms.recipe, seed=seed, tuned_blocks=blocks)
-    if row.fewer:
-        recipe = replace(recipe, size=terms.fewer())
-    return Preset(config, terms.start, _spent(recipe, config, fitted=row.fitted))
-
-
-def _aggregator(terms: GridSetup, row: Row) -> AggregatorConfig:
     if row.aggregator not in AGGREGATORS:
         raise ModelError(f"the row {row.name} asks for an aggregator {row.aggregator!r}, which there is not")
     with torch.device("meta"):
-        width = build_backbone(terms.backbone).width
-    return replace(for_grid(AGGREGATORS[row.aggregator](width), terms.grid), **row.change)
-
-
-def _spent(recipe: Recipe, config: ModelConfig, *, fitted: bool) -> Recipe:
-    """The budget, spent on what there is to train: a head without weights takes no steps of its own."""
-    steps = recipe.head_steps + recipe.tune_steps
+        width = build_backbone(setup.backbone).width
+    config = ModelConfig(
+        name=row.name,
+        backbone=setup.backbone,
+        aggregator=replace(for_grid(AGGREGATORS[row.aggregator](width), setup.token_grid), **row.change),
+        preprocessing=setup.preprocessing,
+    )
+    blocks = setup.blocks if row.blocks == ALL_BLOCKS else row.blocks
+    if not setup.recipe.tune_steps:
+        blocks = 0
+    if blocks > setup.blocks:
+        raise ModelError(f"the row {row.name} trains {blocks} blocks, but the backbone has {setup.blocks}")
+    recipe = replace(setup.recipe, seed=seed, tuned_blocks=blocks)
+    if row.fewer_tokens:
+        recipe = replace(recipe, size=setup.side_of_fewer_tokens)
     head = any(weight.requires_grad for weight in build(config).aggregator.parameters())
-    if fitted or not (head or recipe.tuned_blocks):
-        return replace(recipe, head_steps=0, tune_steps=0)
-    return recipe if head else replace(recipe, head_steps=0, tune_steps=steps)
+    if row.fitted or not (head or blocks):
+        recipe = replace(recipe, head_steps=0, tune_steps=0)
+    elif not head:  # all rows take as many steps: those of a head without weights go to the backbone
+        recipe = replace(recipe, head_steps=0, tune_steps=recipe.head_steps + recipe.tune_steps)
+    return Preset(config, setup.start, recipe)
 
 
-def digest(start: str) -> dict[str, str]:
+def start_digest(start: str) -> dict[str, str]:
     """A start's name and the SHA-256 of its file, so that another file of that name is told apart."""
     if not start:  # untrained
         return {"name": "", "sha256": ""}
@@ -152,16 +142,17 @@ def digest(start: str) -> dict[str, str]:
     return {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
 
-def check(presets: Sequence[Preset]) -> None:
+def check_presets(presets: Sequence[Preset]) -> None:
     """Describe a black photo with every preset, so that what cannot work is said before an hour of training.
 
     Raises:
-        ModelError: a model's parts do not fit together, or its photos give it too few tokens.
+        ModelError: If a model's parts do not fit together, or its photos give it too few tokens.
     """
     for each in presets:
         model, size = build(each.model), each.model.preprocessing
         if needs_fitting(model):  # it cannot describe yet
             continue
+        # A size in training of its own gives another number of tokens, which may be too few where the other is not.
         sides = {(size.height, size.width)} | ({(each.recipe.size,) * 2} if each.recipe.size else set())
         for height, width in sides:
             with torch.inference_mode():
