@@ -1,0 +1,1 @@
+"""Search: the rows most like a query, whoever holds them."""

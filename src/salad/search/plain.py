@@ -1,0 +1,56 @@
+"""The plainest searcher there is: all scores at once, in float64, sorted.
+
+What the tests hold every other searcher to, and a pattern for writing one. It takes memory for every score.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from salad.search.base import DamagedRowError, Hits, Mask, Numbers, Rows, as_queries, check_k
+
+
+class PlainSearcher:
+    """Finds the rows with the highest dot products.
+
+    Args:
+        rows: What is searched.
+
+    Raises:
+        DamagedRowError: If a row may have any length and has none.
+    """
+
+    def __init__(self, rows: Rows) -> None:
+        self._longest = rows.longest
+        self._rows = rows.take(np.arange(len(rows))).astype(np.float64)
+        bad = np.flatnonzero(~np.isfinite(self._rows).all(axis=1))
+        if rows.longest is None and bad.size:
+            raise DamagedRowError(int(bad[0]))
+
+    @property
+    def dim(self) -> int:
+        """Numbers in a row."""
+        return int(self._rows.shape[1])
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | None = None) -> Hits:
+        """The k best rows of each query, as `Searcher.search` says."""
+        check_k(k)
+        asked = as_queries(queries, self.dim).astype(np.float64)
+        hits = Hits(
+            np.full((len(asked), min(k, len(self))), -1, dtype=np.int64),
+            np.full((len(asked), min(k, len(self))), -np.inf),
+        )
+        for number, query in enumerate(asked):
+            with np.errstate(invalid="ignore"):
+                scores = (self._rows * query).sum(axis=1)
+            most = np.inf if self._longest is None else self._longest * float(np.linalg.norm(query))
+            sound = np.isfinite(scores) & (np.abs(scores) <= most)
+            those = np.flatnonzero(sound if allowed is None else sound & allowed)
+            best: Numbers = those[np.argsort(-scores[those], kind="stable")][:k]
+            hits.rows[number, : len(best)] = best
+            hits.scores[number, : len(best)] = scores[best]
+        return hits
