@@ -31,7 +31,7 @@ from salad.datasets.training_place import TrainingPlace
 from salad.geo import GeoPoint, metres
 from salad.images.photo import Photo, read_photo
 from salad.index import centring
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.calibration import (
     BINS,
     Case,

@@ -22,8 +22,8 @@ from held_out import DATA
 
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
-from salad.index.centring import SHARE
 from salad.models.model_folder import load
+from salad.search.hubness import SHARE
 from salad.training.recipe import PRESETS
 from salad.training.validation import QUERIES, average_precision
 

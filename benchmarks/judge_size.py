@@ -23,7 +23,7 @@ import numpy as np
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.compact_lists import PhotoList, Ragged
 from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors
-from salad.index.npy import Writer
+from salad.index.vectors import NpyWriter
 
 SEED = 0
 _STEP = 10_000  # references made up at once
@@ -85,7 +85,7 @@ def made_up(folder: Path, references: int, queries: int, dim: int) -> np.ndarray
     rng = np.random.default_rng(SEED)
     right = rng.choice(references, queries, replace=False)
     asked = np.empty((queries, dim), dtype=np.float32)
-    with Writer(folder / "references.npy", dim=dim, dtype=np.float32) as file:
+    with NpyWriter(folder / "references.npy", dim=dim, dtype=np.float32) as file:
         for start in range(0, references, _STEP):
             block = unit(rng.standard_normal((min(_STEP, references - start), dim), dtype=np.float32))
             here = np.flatnonzero((right >= start) & (right < start + len(block)))

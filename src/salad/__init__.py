@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from salad.geo import GeoPoint
     from salad.images.photo import Photo
     from salad.index.build import index_photos
-    from salad.index.index import Index
-    from salad.index.search import Match
+    from salad.index.index import Index, Match
     from salad.localize.locate import Answer, locate, locate_many
     from salad.localize.voting import Place
     from salad.models.describer import Describer
@@ -32,7 +31,7 @@ _HOMES = {
     "Describer": "salad.models.describer",
     "GeoPoint": "salad.geo",
     "Index": "salad.index.index",
-    "Match": "salad.index.search",
+    "Match": "salad.index.index",
     "Photo": "salad.images.photo",
     "Place": "salad.localize.voting",
     "SaladError": "salad.errors",

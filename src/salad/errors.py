@@ -7,6 +7,7 @@
     │   └── FetchError        weights could not be fetched
     ├── ModelError            a model cannot be built or used as asked
     │   └── TooFewTokensError a photo gives fewer tokens than there are clusters
+    ├── SearchError           a search was asked for what cannot be
     ├── StoreError            an index on disk cannot be used
     │   └── WrongModelError   an index was made with another model
     ├── BenchmarkError        a data set or its ground truth cannot be read
@@ -44,6 +45,10 @@ class ModelError(SaladError):
 
 class TooFewTokensError(ModelError):
     """A photo gives fewer tokens than the model has clusters."""
+
+
+class SearchError(SaladError):
+    """A search was asked for what cannot be: queries of another dimension or not finite, damaged rows, no match."""
 
 
 class StoreError(SaladError):

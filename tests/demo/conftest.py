@@ -13,7 +13,7 @@ from salad.demo.town.town import Town
 from salad.geo import GeoPoint, shifted
 from salad.images.decode import save_jpeg
 from salad.images.photo import Photo
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.locate import Answer
 from salad.localize.voting import Place
 

@@ -14,7 +14,7 @@ from salad.datasets.benchmark import Benchmark
 from salad.evaluation import metrics
 from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.metrics import Answers
-from salad.evaluation.ranking import Ranked
+from salad.evaluation.result import Ranked
 from salad.geo import GeoPoint, shifted
 from salad.images.photo import Photo
 

@@ -80,9 +80,12 @@ def test_rows_come_in_the_order_of_the_photos_whatever_the_block(drive: Benchmar
     shuffled = [drive.references[row] for row in (5, 0, 3, 6, 1, 1, 2)]
     rows, _ = Cache(tmp_path, Described(model, batch_size=16)).sides(shuffled, drive.queries)
     due = model.describe([photo.path for photo in shuffled])
-    for numbers in (1, 6, 999):
-        assert np.concatenate(list(rows.blocks(numbers=numbers))) == pytest.approx(due, abs=1e-6)
-    assert (rows.rows, rows.dim) == (7, 3)
+    spare = np.empty((7, 3), np.float32)
+    for size in (1, 2, 7):
+        blocks = [rows.block(start, min(start + size, 7), spare).copy() for start in range(0, 7, size)]
+        assert np.concatenate(blocks) == pytest.approx(due, abs=1e-6)
+    assert rows.take(np.array([6, 0, 0])) == pytest.approx(due[[6, 0, 0]], abs=1e-6)
+    assert (len(rows), rows.dim, rows.dtype, rows.longest) == (7, 3, np.float32, None)
 
 
 def test_a_changed_photo_and_another_model_are_described(drive: Benchmark, tmp_path: Path) -> None:
@@ -153,10 +156,10 @@ def test_a_file_that_is_gone_while_it_is_read(drive: Benchmark, tmp_path: Path) 
     (path,) = (tmp_path / "cache").rglob("*.safetensors")
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(BenchmarkError, match="cut short while"):
-        list(rows.blocks(numbers=10))
+        rows.take(np.arange(7))
     path.unlink()
     with pytest.raises(BenchmarkError, match="cannot be read"):
-        list(rows.blocks(numbers=10))
+        rows.take(np.arange(7))
 
 
 def test_a_disk_that_takes_nothing(drive: Benchmark, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

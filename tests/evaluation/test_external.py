@@ -9,11 +9,11 @@ import pytest
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors, evaluate_rankings
+from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors, evaluate_rankings, rank
 from salad.evaluation.external import write_rankings
 from salad.evaluation.metrics import recall_at
-from salad.evaluation.ranking import rank
 from salad.images.photo import Photo
+from salad.search.base import ArrayRows
 
 
 def benchmark(folder: Path, *, names: tuple[str, str] = ("r{}.jpg", "q{}.jpg")) -> Benchmark:
@@ -42,7 +42,7 @@ class TestDescriptors:
             np.save(path, rows)
         set_ = benchmark(tmp_path)
         result = evaluate_descriptors(set_, *saved, name="peer")
-        ranked = rank(queries.astype(np.float32), references.astype(np.float32), k=20)
+        ranked = rank(ArrayRows(queries), ArrayRows(references), k=20).rows
         assert result.recall == recall_at(ranked, set_.positives)
         assert (result.model, result.fingerprint) == ("peer", "")
         assert result.notes == ("descriptors from outside, of length 1: ranked by cosine",)

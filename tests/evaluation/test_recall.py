@@ -15,13 +15,15 @@ from PIL import Image
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
-from salad.evaluation import ranking
-from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge
+from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge, rank
 from salad.evaluation.metrics import recall_at
-from salad.evaluation.ranking import Held, Ranked, nearest, rank
+from salad.evaluation.result import Ranked
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber
 from salad.network.config import Calibration
+from salad.search import exact
+from salad.search.base import ArrayRows, Hits
+from salad.search.plain import PlainSearcher
 
 KS = (1, 2, 3, 5, 8)
 # A busy machine is no failure: no test here depends on time.
@@ -106,16 +108,12 @@ class TestRank:
         queries=st.lists(st.tuples(small, small), min_size=1, max_size=5),
         references=st.lists(st.tuples(small, small), min_size=1, max_size=9),
         k=st.integers(1, 12),
-        block=st.sampled_from([1, 4, 12, 1 << 20]),
     )
     def test_against_a_sort_of_everything(
-        self, queries: list[tuple[int, int]], references: list[tuple[int, int]], k: int, block: int
+        self, queries: list[tuple[int, int]], references: list[tuple[int, int]], k: int
     ) -> None:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ranking, "_NUMBERS", block)
-            patch.setattr(ranking, "_QUERIES", block)
-            patch.setattr(ranking, "_PAIRS", block)
-            found = rank(np.array(queries, np.float32), np.array(references, np.float32), k=k)
+        held = (ArrayRows(np.array(side, np.float32)) for side in (queries, references))
+        found = rank(*held, k=k).rows
         for query, rows in zip(queries, found, strict=True):
             scores = [query[0] * x + query[1] * y for x, y in references]
             assert rows.tolist() == sorted(range(len(references)), key=lambda row: (-scores[row], row))[:k]
@@ -125,37 +123,38 @@ class TestRank:
         rng = np.random.default_rng(0)
         one = rng.standard_normal((3, 700)).astype(np.float32)
         references = np.concatenate([one] * 40)  # every third row is the same
-        for block in (700, 7000, 1 << 20):
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(ranking, "_NUMBERS", block)
-                found = nearest(Held(one), Held(references), k=50)
-            assert found.scores is not None
-            for number, (rows, scores) in enumerate(zip(found.rows, found.scores, strict=True)):
-                assert rows[:40].tolist() == list(range(number, 120, 3))
-                assert len(set(scores[:40].tolist())) == 1
-                assert scores[0] == pytest.approx(float(one[number].astype(float) @ one[number]), rel=1e-12)
+        found = rank(ArrayRows(one), ArrayRows(references), k=50)
+        assert found.scores is not None
+        for number, (rows, scores) in enumerate(zip(found.rows, found.scores, strict=True)):
+            assert rows[:40].tolist() == list(range(number, 120, 3))
+            assert len(set(scores[:40].tolist())) == 1
+            assert scores[0] == pytest.approx(float(one[number].astype(float) @ one[number]), rel=1e-12)
 
-    def test_progress_counts_references(self) -> None:
-        seen: list[tuple[int, int]] = []
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ranking, "_NUMBERS", 2)
-            ones = Held(np.ones((3, 1), np.float32))
-            nearest(ones, ones, k=1, progress=lambda done, total: seen.append((done, total)))
-        assert seen == [(2, 3), (3, 3)]
+    def test_another_searcher_finds_what_it_finds(self) -> None:
+        class First(PlainSearcher):
+            def search(self, queries: np.ndarray, *, k: int, allowed: Any = None) -> Hits:
+                return super().search(queries, k=k, allowed=np.arange(len(self)) < 2)
+
+        rng = np.random.default_rng(1)
+        queries, references = (ArrayRows(rng.standard_normal((9, 4))) for _ in range(2))
+        for centred in (False, True):
+            found = rank(queries, references, k=3, centred=centred, searcher=First)
+            assert np.sort(found.rows, axis=1).tolist() == [[-1, 0, 1]] * 9
 
     def test_refusals(self) -> None:
         ones = np.ones((2, 3), np.float32)
+        sound = ArrayRows(ones)
         with pytest.raises(BenchmarkError, match="3 numbers each and references 2"):
-            rank(ones, ones[:, :2], k=1)
+            rank(sound, ArrayRows(ones[:, :2]), k=1)
         for wrong in (np.nan, np.inf, 1e30):
             bad = ones.copy()
             bad[1, 0] = wrong
             with pytest.raises(BenchmarkError, match=r"query 1 .*NaN"):
-                rank(bad, ones, k=1)
+                rank(ArrayRows(bad), sound, k=1)
             with pytest.raises(BenchmarkError, match=r"reference 1 .*NaN"):
-                rank(ones, bad, k=1)
+                rank(sound, ArrayRows(bad), k=1)
             with pytest.raises(BenchmarkError, match=r"reference 1 .*NaN"):
-                nearest(Held(ones), Held(bad), k=1, centred=True)
+                rank(sound, ArrayRows(bad), k=1, centred=True)
 
 
 @st.composite
@@ -191,9 +190,9 @@ class TestAgainstAnIndependentComputation:
         queries, references, right = case
         positives = [np.array(rows, dtype=np.int64) for rows in right]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ranking, "_NUMBERS", block)
-            patch.setattr(ranking, "_QUERIES", block)
-            ranked = rank(queries.astype(np.float32), references.astype(np.float32), k=max(KS))
+            patch.setattr(exact, "_BLOCK", block)
+            patch.setattr(exact, "_BATCH", block)
+            ranked = rank(ArrayRows(queries), ArrayRows(references), k=max(KS)).rows
         due = {k: plain_recall(queries, references, right, k, drop=rule == "drop") for k in KS}
         if due[1] is None:
             with pytest.raises(BenchmarkError, match="has a right reference"):
@@ -292,7 +291,7 @@ class TestEvaluate:
             calibration = Calibration(centred=True)
 
         photos = [[photo.path for photo in side] for side in (drive.queries, drive.references)]
-        held = [Held(FakeDescriber().describe(side)) for side in photos]
+        held = [ArrayRows(FakeDescriber().describe(side)) for side in photos]
         for model, plain, name, centred, notes in (
             (Centred(), False, "fake", True, ("a note", CENTRED)),
             (Centred(), True, "fake, plain", False, ("a note",)),
@@ -300,7 +299,7 @@ class TestEvaluate:
             (FakeDescriber(), True, "fake", False, ("a note",)),
         ):
             result = evaluate(drive, model, ks=(1, 3), plain=plain)
-            due = nearest(*held, k=3, centred=centred)
+            due = rank(*held, k=3, centred=centred)
             assert [one.matches for one in result.per_query] == [tuple(rows) for rows in due.rows.tolist()]
             assert due.scores is not None
             assert np.array([one.scores for one in result.per_query]) == pytest.approx(due.scores)

@@ -18,8 +18,7 @@ from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
 from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.leaks import Leak
-from salad.evaluation.ranking import Ranked
-from salad.evaluation.result import Result, as_csv, read_result, write_csv, write_result
+from salad.evaluation.result import Ranked, Result, as_csv, read_result, write_csv, write_result
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
 

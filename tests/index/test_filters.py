@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from salad.errors import StoreError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.images.photo import Photo
-from salad.index import filters
+from salad.index import filter_sql
 from salad.index.catalog import Ledger
-from salad.index.filters import Filter, allowed
+from salad.index.filter_sql import allowed
 from salad.index.index import Index
+from salad.search.filters import Filter
 
 EAST_3 = timezone(timedelta(hours=3))
 LONGITUDES = st.sampled_from([-180.0, -179.9999, 0.0, 1e-7, 179.9999, 180.0]) | st.floats(-180, 180)
@@ -170,7 +171,7 @@ def test_each_part_by_itself(table: Ledger, wanted: Filter, rows: list[int]) -> 
 
 
 def test_only_living_rows_of_the_snapshot_pass(table: Ledger, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(filters, "_PAGE", 2)
+    monkeypatch.setattr(filter_sql, "_PAGE", 2)
     alive = np.array([True, False, True])  # and the ledger has gone on to a fourth
     for wanted in (Filter(), Filter(since=datetime(2024, 1, 1))):
         assert allowed(wanted, table, alive).tolist() == [True, False, True]

@@ -21,8 +21,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
-from salad.index.filters import Filter
 from salad.index.index import Index
+from salad.search.filters import Filter
 
 DIM = 6
 HOME = Path("/photos")

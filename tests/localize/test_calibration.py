@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, shifted
 from salad.images.photo import Photo
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.calibration import (
     BINS,
     Case,

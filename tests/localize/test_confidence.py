@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from salad.geo import GeoPoint, shifted
 from salad.images.photo import Photo
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.voting import Evidence, Group, confidence, evidence, weighted_matches
 from salad.network.config import Calibration
 

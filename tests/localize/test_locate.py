@@ -12,13 +12,12 @@ from salad.errors import PhotoError, WrongModelError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.images.photo import Photo
 from salad.index.build import index_photos
-from salad.index.filters import Filter
-from salad.index.index import Index
-from salad.index.search import Match
+from salad.index.index import Index, Match
 from salad.localize.locate import Answer, locate, locate_many
 from salad.localize.voting import Place
 from salad.models.fake import FakeDescriber
 from salad.network.config import Calibration
+from salad.search.filters import Filter
 
 TOWN = GeoPoint(51.5, -0.1)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.images.photo import Photo
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.voting import RADIUS_M, VIEW, Place, groups, vote, weighted_matches
 from salad.network.config import Calibration
 

@@ -23,11 +23,12 @@ import salad
 from salad.cli.main import main
 from salad.datasets.places import find_places
 from salad.errors import BenchmarkError
-from salad.evaluation.ranking import Held, nearest
-from salad.index.filters import Filter
+from salad.evaluation.evaluate import rank as nearest
 from salad.models.fake import FakeDescriber
 from salad.network.aggregator_config import AGGREGATOR_KINDS, AGGREGATORS, SaladConfig
 from salad.network.config import BACKBONE_KINDS, Calibration, LiteConfig, ModelConfig, Preprocessing
+from salad.search.base import ArrayRows as Held
+from salad.search.filters import Filter
 from salad.training.recipe import PRESETS, Preset, Recipe
 from salad.training.trainer import train
 

@@ -21,8 +21,7 @@ from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
 from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.leaks import Leak
-from salad.evaluation.ranking import Ranked
-from salad.evaluation.result import QueryResult, Result, read_result, write_result
+from salad.evaluation.result import QueryResult, Ranked, Result, read_result, write_result
 from salad.geo import GeoPoint, metres_between, round_metres, shifted, told_metres
 from salad.images.decode import save_jpeg
 from salad.images.photo import Photo

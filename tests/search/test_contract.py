@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 import numpy as np
 import pytest
 
+from salad.geo import GeoPoint
+from salad.index.vectors import FileRows
 from salad.search.base import LONGEST_UNIT, ArrayRows, Hits, Searcher, SearchError
 from salad.search.exact import ExactSearcher
+from salad.search.filters import Filter
 from salad.search.plain import PlainSearcher
 
 Make = Callable[[np.ndarray], Searcher]
@@ -27,11 +32,27 @@ def _of_any_length(rows: np.ndarray) -> ArrayRows:
     return ArrayRows(np.float32(np.float16(rows)))
 
 
+def _in_a_file(rows: np.ndarray) -> FileRows:
+    with NamedTemporaryFile() as file:
+        path = Path(file.name)
+        path.write_bytes(np.float16(rows).tobytes())
+        return FileRows(path, rows=len(rows), dim=rows.shape[1])  # which keeps the file open
+
+
+def _of_another_tool(rows: np.ndarray) -> FileRows:
+    with NamedTemporaryFile(suffix=".npy") as file:
+        np.save(file, np.float64(np.float16(rows)))
+        file.flush()
+        return FileRows.of_npy(Path(file.name))
+
+
 SEARCHERS: dict[str, Make] = {
     "plain": lambda rows: PlainSearcher(_half(rows)),
     "exact, float16": lambda rows: ExactSearcher(_half(rows)),
     "exact, float32": lambda rows: ExactSearcher(_single(rows)),
     "exact, any length": lambda rows: ExactSearcher(_of_any_length(rows)),
+    "exact, a file of float16": lambda rows: ExactSearcher(_in_a_file(rows)),
+    "exact, a file of float64": lambda rows: ExactSearcher(_of_another_tool(rows)),
     "exact, in threads": lambda rows: ExactSearcher(_half(rows), threads=3),
 }
 
@@ -98,6 +119,15 @@ def test_a_mask_holds_before_the_ranking(make: Make, let_through: float) -> None
     allowed[100:300] = False
     found = make(rows).search(queries, k=8, allowed=allowed)
     assert same(found, due(rows, queries, 8, allowed))
+
+
+def test_what_is_no_mask_of_its_rows_is_told(make: Make) -> None:
+    searcher = make(unit(5, 60, 16))
+    with pytest.raises(SearchError, match=r"60 rows are searched.*shape \[59\]"):
+        searcher.search(unit(6, 1, 16), k=1, allowed=np.ones(59, dtype=np.bool_))
+    if not searcher.takes_filters:
+        with pytest.raises(SearchError, match=r"60 rows are searched.*a filter"):
+            searcher.search(unit(6, 1, 16), k=1, allowed=Filter(near=GeoPoint(0, 0), within_m=5))
 
 
 def test_fewer_rows_than_asked_for_are_all_there_are(make: Make) -> None:

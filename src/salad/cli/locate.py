@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from salad.index.filters import Filter
     from salad.localize.locate import Answer
     from salad.localize.voting import Place
+    from salad.search.filters import Filter
 
 
 # --- Options that say which photos of an index may be found ---
@@ -65,7 +65,7 @@ class Only:
         """
         if all(value is None for value in (self.near, self.box, self.since, self.until, self.heading)):
             return None
-        from salad.index.filters import Filter
+        from salad.search.filters import Filter
 
         near = None if self.near is None else _numbers(self.near, 2, "--near", "LAT,LON")
         box = None if self.box is None else _numbers(self.box, 4, "--box", "SOUTH,WEST,NORTH,EAST")

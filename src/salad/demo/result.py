@@ -10,7 +10,7 @@ from typing import Literal
 
 from salad.demo.town.town import Town
 from salad.geo import GeoPoint, metres_between
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.locate import Answer
 
 WITHIN_M = 25.0

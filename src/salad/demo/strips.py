@@ -13,7 +13,7 @@ from salad.demo.report import distance
 from salad.demo.result import WITHIN_M, Judged
 from salad.geo import GeoPoint
 from salad.images.decode import open_rgb
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_of
 
 if TYPE_CHECKING:

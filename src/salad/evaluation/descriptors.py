@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from salad.errors import BenchmarkError, ModelError, PhotoError
-from salad.evaluation.ranking import Held, Rows
 from salad.files import write_whole
 from salad.images.photo import Photo, content_hash
+from salad.search.base import ArrayRows, Block, Numbers, Rows
 
 if TYPE_CHECKING:
     from salad.models.describer import Describes
@@ -79,7 +79,7 @@ class Described:
                 done += len(some)
                 if progress is not None:
                     progress(done, total)
-            sides.append(Held(descriptors))
+            sides.append(ArrayRows(descriptors))
         return sides[0], sides[1]
 
 
@@ -230,23 +230,25 @@ class _File:
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """Descriptors of photos in order, wherever they lie."""
+    """Descriptors of photos in order, wherever they lie: `salad.search.base.Rows`, of any length."""
 
     files: tuple[_File, ...]
     places: Int64[np.ndarray, "rows 2"]
     dim: int
+    dtype = np.dtype(np.float32)
+    longest = None
 
-    @property
-    def rows(self) -> int:
+    def __len__(self) -> int:
         return len(self.places)
 
-    def blocks(self, *, numbers: int) -> Iterator[Float32[np.ndarray, "block dim"]]:
-        step = max(1, numbers // self.dim)
-        for start in range(0, self.rows, step):
-            yield self._block(self.places[start : start + step])
+    def block(self, start: int, stop: int, spare: Block) -> Block:  # noqa: ARG002  # runs come in another order
+        return self._at(self.places[start:stop])
 
-    def _block(self, places: Int64[np.ndarray, "block 2"]) -> Float32[np.ndarray, "block dim"]:
-        """Read a block, each run of neighbouring rows at once."""
+    def take(self, rows: Numbers) -> Block:
+        return self._at(self.places[rows])
+
+    def _at(self, places: Int64[np.ndarray, "block 2"]) -> Float32[np.ndarray, "block dim"]:
+        """Read rows, each run of neighbouring ones at once."""
         block = np.empty((len(places), self.dim), dtype=np.float32)
         order = np.lexsort((places[:, 1], places[:, 0]))
         ordered = places[order]

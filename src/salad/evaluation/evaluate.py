@@ -28,11 +28,11 @@ from salad.evaluation.descriptors import Cache, Described
 from salad.evaluation.external import depth, read_descriptors, read_rankings
 from salad.evaluation.leaks import find_leaks
 from salad.evaluation.metrics import KS, Answers, check_countable
-from salad.evaluation.ranking import Ranked, nearest
 from salad.evaluation.result import (
     Distances,
     PrecisionRecall,
     QueryResult,
+    Ranked,
     Result,
     along,
     answers,
@@ -43,6 +43,9 @@ from salad.evaluation.result import (
     verdicts_of,
 )
 from salad.localize.locate import calibration_of
+from salad.search.base import DamagedRowError, Rows, SearcherFactory
+from salad.search.exact import ExactSearcher
+from salad.search.hubness import Centred, mean_of_all
 
 if TYPE_CHECKING:
     from salad.models.describer import Describes
@@ -256,6 +259,7 @@ def evaluate(
     cache: Path | None = None,
     seed: int = 0,
     plain: bool = False,
+    searcher: SearcherFactory = ExactSearcher,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
     """Describe both sides of a benchmark, rank, and judge.
@@ -270,7 +274,8 @@ def evaluate(
         cache: A folder of descriptors to take from and to add to; without it none is kept.
         seed: Of the draws that tell how sure the figures are.
         plain: Compare descriptors as they are, as published figures do, where the model's own way is to leave out what
-            all references have in common (`salad.index.centring`).
+            all references have in common (`salad.search.hubness`).
+        searcher: What finds the references of each query; another than the exact one shows what it costs.
         progress: Told how many photos are described, and of how many.
 
     Raises:
@@ -285,7 +290,7 @@ def evaluate(
     source = described if cache is None else Cache(cache, described)
     references, queries = source.sides(benchmark.references, benchmark.queries, progress=progress)
     own = calibration_of(model).centred
-    ranked = nearest(queries, references, k=max(ks), centred=own and not plain)
+    ranked = rank(queries, references, k=max(ks), centred=own and not plain, searcher=searcher)
     return judge(
         benchmark,
         ranked,
@@ -297,8 +302,62 @@ def evaluate(
     )
 
 
+def rank(
+    queries: Rows,
+    references: Rows,
+    *,
+    k: int,
+    centred: bool = False,
+    searcher: SearcherFactory = ExactSearcher,
+) -> Ranked:
+    """Find the references with the highest dot products with each query.
+
+    Queries are held in memory; of the references it is the searcher's affair.
+
+    Args:
+        queries: `[queries, dim]`, of any length.
+        references: `[references, dim]`, of any length.
+        k: How many to keep; no more than there are references come back.
+        centred: Whether scores leave out what all references have in common (`salad.search.hubness`).
+        searcher: What finds them.
+
+    Raises:
+        BenchmarkError: The two sides do not fit, or hold numbers that are not finite.
+    """
+    if queries.dim != references.dim:
+        raise BenchmarkError(
+            f"queries have {queries.dim} numbers each and references {references.dim}: describe both with one model"
+        )
+    asked = queries.take(np.arange(len(queries))).astype(np.float32, copy=False)
+    with np.errstate(over="ignore", invalid="ignore"):
+        bad = np.flatnonzero(~np.isfinite(np.einsum("ij,ij->i", asked, asked)))
+    if bad.size:
+        raise _no_descriptor("query", int(bad[0]))
+    try:
+        finds = searcher(references)
+        if centred:
+            finds = Centred(finds, mean_of_all(references))
+        hits = finds.search(asked, k=k)
+    except DamagedRowError as error:
+        raise _no_descriptor("reference", error.row) from error
+    return Ranked(hits.rows, hits.scores)
+
+
+def _no_descriptor(role: str, row: int) -> BenchmarkError:
+    return BenchmarkError(
+        f"the descriptor of {role} {row} (from 0) holds NaN, infinity or numbers too large to multiply: check the "
+        "model and the photo it came from"
+    )
+
+
 def evaluate_descriptors(
-    benchmark: Benchmark, references: Path, queries: Path, *, name: str, settings: EvalSettings | None = None
+    benchmark: Benchmark,
+    references: Path,
+    queries: Path,
+    *,
+    name: str,
+    settings: EvalSettings | None = None,
+    searcher: SearcherFactory = ExactSearcher,
 ) -> Result:
     """Judge descriptors that somebody else made: two `.npy` files, rows in the order of the benchmark's photos.
 
@@ -308,6 +367,7 @@ def evaluate_descriptors(
         queries: descriptors of the queries.
         name: what to call the method.
         settings: on what settings, where not the usual ones.
+        searcher: what finds the references of each query.
 
     Raises:
         BenchmarkError: a file cannot be read or does not fit the set, or no query has an answer.
@@ -316,7 +376,7 @@ def evaluate_descriptors(
     settings.check(benchmark)
     began = time.perf_counter()
     known, asked, notes = read_descriptors(benchmark, references, queries)
-    ranked = nearest(asked, known, k=max(settings.ks))
+    ranked = rank(asked, known, k=max(settings.ks), searcher=searcher)
     seconds = time.perf_counter() - began
     return judge(benchmark, ranked, settings, model=name, seconds=seconds, notes=notes)
 

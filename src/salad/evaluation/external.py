@@ -14,18 +14,17 @@ from jaxtyping import Int64
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, StoreError
-from salad.evaluation.ranking import Ranked, Rows
-from salad.evaluation.result import Result, below, folder_of
+from salad.evaluation.result import Ranked, Result, below, folder_of
 from salad.files import write_whole
 from salad.images.photo import Photo
-from salad.index.npy import Matrix
+from salad.index.vectors import FileRows
 
 _NUMBERS = 1 << 22  # numbers looked at at once
 
 
 def read_descriptors(
     benchmark: Benchmark, references: Path, queries: Path
-) -> tuple[Rows, Rows, tuple[str, ...]]:
+) -> tuple[FileRows, FileRows, tuple[str, ...]]:
     """Descriptors from two `.npy` files, rows in the order of the benchmark's photos.
 
     Returns:
@@ -63,27 +62,25 @@ def write_photos(photos: Sequence[Photo], path: Path) -> None:
     _write(path, (str(photo.path) for photo in photos))
 
 
-def _matrix(path: Path) -> Matrix:
+def _matrix(path: Path) -> FileRows:
     try:
-        return Matrix.open(path)
+        return FileRows.of_npy(path)
     except StoreError as error:
         raise BenchmarkError(str(error)) from error
 
 
-def _lengths_told(*sides: tuple[Path, Rows]) -> tuple[str, ...]:
+def _lengths_told(*sides: tuple[Path, FileRows]) -> tuple[str, ...]:
     """Make sure that all numbers are finite, and say whether rows are of length 1."""
     least, most = np.inf, 0.0
     for path, rows in sides:
-        done = 0
-        for block in rows.blocks(numbers=_NUMBERS):
+        for start, block in rows.blocks(numbers=_NUMBERS):
             lengths = np.linalg.norm(block.astype(np.float64), axis=1)
             bad = np.flatnonzero(~np.isfinite(lengths))
             if bad.size:
                 raise BenchmarkError(
-                    f"row {done + int(bad[0])} (from 0) of {path} holds NaN or infinity: describe that photo again"
+                    f"row {start + int(bad[0])} (from 0) of {path} holds NaN or infinity: describe that photo again"
                 )
             least, most = min(least, float(lengths.min())), max(most, float(lengths.max()))
-            done += len(block)
     if abs(least - 1) < 0.01 and abs(most - 1) < 0.01:
         return ("descriptors from outside, of length 1: ranked by cosine",)
     return (

@@ -22,7 +22,6 @@ from salad.evaluation import metrics
 from salad.evaluation.bootstrap import Interval
 from salad.evaluation.leaks import Leak
 from salad.evaluation.metrics import Answers, first_hits
-from salad.evaluation.ranking import Ranked
 from salad.files import write_whole
 from salad.images.photo import Photo
 from salad.tables import csv_line
@@ -405,6 +404,19 @@ def _of(kind: type, value: Any) -> Any:
 
 
 # --- What became of each query, in words that outlive the data set: names below a folder, rows, metres ---
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """What was found for each query, best first.
+
+    Attributes:
+        rows: `[queries, k]` rows of references; -1 where there is no more.
+        scores: `[queries, k]` their scores; None where nobody told them.
+    """
+
+    rows: Int64[np.ndarray, "queries k"]
+    scores: Float64[np.ndarray, "queries k"] | None = None
 
 
 def verdicts_of(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[QueryResult, ...]:

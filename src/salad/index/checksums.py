@@ -12,8 +12,8 @@ import numpy as np
 
 from salad.index import vectors
 from salad.index.catalog import UNKNOWN, Ledger
-from salad.index.search import Snapshot
-from salad.index.verify import Mask
+from salad.index.vectors import Snapshot
+from salad.search.base import Mask
 
 _STEP = 1024  # rows checked in one go
 

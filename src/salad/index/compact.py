@@ -63,7 +63,7 @@ def compact(folder: Path, table: Ledger, *, dim: int) -> Compacted:
 
 def _rewrite(folder: Path, table: Ledger, last: Committed, dim: int) -> tuple[int, list[Path]]:
     """Inside of a change: how many rows stay, and the photos whose descriptors were not worth keeping."""
-    old = vectors.Rows(folder / last.matrix, rows=last.rows, dim=dim)
+    old = vectors.FileRows(folder / last.matrix, rows=last.rows, dim=dim)
     alive = np.zeros(last.rows, dtype=np.bool_)
     live, noted = table.live_rows(), table.sums()
     alive[live[live < last.rows]] = True

@@ -9,28 +9,51 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from salad.errors import StoreError, WrongModelError
 from salad.images.photo import Photo, content_hash
-from salad.index import catalog, centring, index_folder, vectors, verify
+from salad.index import catalog, index_folder, vectors, verify
 from salad.index.catalog import Committed, Ledger
 from salad.index.checksums import ChecksumVerifier
 from salad.index.compact import Compacted, compact
-from salad.index.filters import Filter, allowed
+from salad.index.filter_sql import allowed
 from salad.index.index_folder import Header
-from salad.index.search import Floats, Match, Snapshot, as_queries, best_rows
-from salad.index.vectors import Half
+from salad.index.vectors import FileRows, Half, Snapshot
 from salad.index.verify import IndexInfo
+from salad.search.base import Mask, Queries, Searcher, SearcherFactory
+from salad.search.exact import ExactSearcher
+from salad.search.filters import Filter
+from salad.search.hubness import Centred, Mean, mean_of_some
 
 if TYPE_CHECKING:
     from salad.models.describer import Describes
+
+
+Floats = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A reference that looks like the query.
+
+    Attributes:
+        photo: The reference.
+        score: Dot product of the two descriptors, the cosine of their angle; centred, if that was asked for, on all
+            photos of the index. 1 is the same picture.
+        row: Row of the index's matrix.
+    """
+
+    photo: Photo
+    score: float
+    row: int
 
 
 # --- Taking photos in: descriptors behind all others first, then one commit that says they count ---
@@ -76,7 +99,7 @@ def _check_whole(folder: Path, table: Ledger, last: Committed, dim: int) -> None
     Raises:
         StoreError: If the file of descriptors is shorter than the photos that can be found need it.
     """
-    rows = vectors.Rows(folder / last.matrix, rows=last.rows, dim=dim)
+    rows = FileRows(folder / last.matrix, rows=last.rows, dim=dim)
     lost = table.count(start=rows.held) if rows.held < last.rows else 0
     rows.close()
     if lost:
@@ -94,12 +117,20 @@ class Index:
     what others commit: every search looks at the latest commit.
     """
 
-    def __init__(self, folder: Path, header: Header, table: catalog.Ledger) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        header: Header,
+        table: catalog.Ledger,
+        *,
+        searcher: SearcherFactory = ExactSearcher,
+    ) -> None:
         self.folder = folder
         self.header = header
         self._ledger = table
-        self._last: tuple[Snapshot, ChecksumVerifier] | None = None
-        self._middle: tuple[int, centring.Mean] | None = None  # the mean descriptor, of which generation
+        self._searcher = searcher
+        self._last: tuple[Snapshot, ChecksumVerifier, Searcher] | None = None
+        self._middle: tuple[int, Mean] | None = None  # the mean descriptor, of which generation
 
     @classmethod
     def create(cls, folder: str | Path, *, dim: int, fingerprint: str, model: str) -> Index:
@@ -120,7 +151,9 @@ class Index:
         return cls.open(index_folder.make(Path(os.path.realpath(folder)), header))
 
     @classmethod
-    def open(cls, folder: str | Path, *, wait: float = 10.0) -> Index:
+    def open(
+        cls, folder: str | Path, *, wait: float = 10.0, searcher: SearcherFactory = ExactSearcher
+    ) -> Index:
         """Open the index in `folder`; a folder that cannot be written can still be searched.
 
         Where the file of descriptors is cut short, the photos it lost are not found; `verify` names them.
@@ -128,12 +161,14 @@ class Index:
         Args:
             folder: Where.
             wait: Seconds a change waits for another writer before it gives up.
+            searcher: What searches the rows of a commit; made anew for each.
 
         Raises:
             StoreError: If it is no index, a newer salad wrote it, or it is damaged.
         """
         home = Path(os.path.realpath(folder))
-        index = cls(home, Header.read(home), catalog.Ledger(home / catalog.CATALOG_FILE, wait=wait))
+        header = Header.read(home)
+        index = cls(home, header, Ledger(home / catalog.CATALOG_FILE, wait=wait), searcher=searcher)
         try:
             index._snapshot()
         except BaseException:
@@ -248,30 +283,48 @@ class Index:
             descriptors: `[Q, dim]`, or `[dim]` for one query.
             k: How many; a smaller index gives fewer.
             where: Which photos may be found; it holds before the ranking.
-            centred: Whether scores leave out what all photos of the index have in common (`centring.py`).
+            centred: Whether scores leave out what all photos of the index have in common (`salad.search.hubness`).
 
         Raises:
             StoreError: If the descriptors are of another dimension or not finite, or k is below 1.
         """
-        queries = as_queries(descriptors, self.dim)
+        queries = self._queries(descriptors)
+        if k < 1:
+            raise StoreError(f"k is {k}: ask for at least one match")
         while True:
             with self._ledger.reading():
-                seen, trust = self._seen()
-                may = trust.alive() if where is None else allowed(where, self._ledger, trust.alive())
-            asked, added = queries, np.zeros(len(queries))
-            if centred:
-                asked, added = centring.centred(queries, self._mean(seen))
-            found = best_rows(seen.rows, asked, k=k, allowed=may)
-            rows = {row for best in found for row, _ in best}
+                seen, checksums, searcher = self._seen()
+                alive = checksums.alive()
+                may: Mask | Filter = alive
+                if where is not None:
+                    may = where if searcher.takes_filters else allowed(where, self._ledger, alive)
+            seen.rows.keep()
+            asked = Centred(searcher, self._mean(seen)) if centred else searcher
+            hits = asked.search(queries, k=k, allowed=may)
+            found = np.unique(hits.rows[hits.rows >= 0])
+            found = found[alive[found]].tolist()  # who takes filters need not know what was removed
             with self._ledger.reading():
                 # Again, where a compaction came between the search and the names, or damage came out on top.
-                held = verify.at_rows(self._ledger, seen, rows)
-                if held is not None and trust.passes(self._ledger, rows):
+                held = verify.at_rows(self._ledger, seen, found)
+                if held is not None and checksums.passes(self._ledger, found):
                     break
         return [
-            [Match(held[row][0], score + more, row) for row, score in best if row in held]
-            for best, more in zip(found, added.tolist(), strict=True)
+            [Match(held[row][0], score, row) for row, score in zip(*best, strict=True) if row in held]
+            for best in zip(hits.rows.tolist(), hits.scores.tolist(), strict=True)
         ]
+
+    def _queries(self, descriptors: Floats) -> Queries:
+        queries = np.atleast_2d(np.asarray(descriptors, dtype=np.float32))
+        if queries.ndim != 2 or queries.shape[1] != self.dim:
+            raise StoreError(
+                f"these descriptors have shape {list(np.shape(descriptors))}, but the index holds descriptors of "
+                f"{self.dim} numbers: describe the query with the index's own model"
+            )
+        if not np.isfinite(queries).all():
+            raise StoreError(
+                "a query's descriptor holds NaN or infinity: check the model and the photo it came from"
+            )
+        return queries
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
@@ -337,25 +390,25 @@ class Index:
     def _snapshot(self) -> Snapshot:
         return self._seen()[0]
 
-    def _seen(self) -> tuple[Snapshot, ChecksumVerifier]:
-        """The latest commit and what was checked of it; the same until somebody commits again."""
+    def _seen(self) -> tuple[Snapshot, ChecksumVerifier, Searcher]:
+        """The latest commit, what was checked of it, and what searches it; the same until somebody commits again."""
         # The file it names cannot be deleted under us: that takes a commit, and nobody commits during a look.
         with self._ledger.reading():
             last = self._ledger.committed()
             if self._last is None or self._last[0].generation != last.generation:
-                rows = vectors.Rows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
+                rows = FileRows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
                 alive = np.ones(last.rows, dtype=np.bool_)
                 alive[self._ledger.dead_rows()] = False
                 alive[rows.held :] = False
                 seen = Snapshot(last.generation, rows, alive)
-                self._last = seen, ChecksumVerifier(seen)
+                self._last = seen, ChecksumVerifier(seen), self._searcher(rows)
             return self._last
 
-    def _mean(self, seen: Snapshot) -> centring.Mean:
+    def _mean(self, seen: Snapshot) -> Mean:
         """Of what this commit holds; worked out once."""
         last = self._middle
         if last is None or last[0] != seen.generation:
-            self._middle = last = seen.generation, centring.mean_of(seen.rows, seen.alive)
+            self._middle = last = seen.generation, mean_of_some(seen.rows, seen.alive)
         return last[1]
 
     def _remove(self, paths: Sequence[Path]) -> int:

@@ -25,9 +25,10 @@ import numpy as np
 from salad.errors import PhotoError, PositionError, StoreError, WrongModelError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo, content_hash
-from salad.index import index_folder, vectors
+from salad.index import index_folder
 from salad.index.index import Index
-from salad.index.npy import Matrix, Writer
+from salad.index.vectors import FileRows, NpyWriter
+from salad.search.base import UNIT_TOLERANCE
 from salad.tables import arrow, csv_line, rows
 
 # --- Photos as a table that other programs read: CSV, Parquet, GeoJSON. One line a photo, in a given order ---
@@ -256,7 +257,7 @@ def export(
         (draft / _MODEL).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
         with (
             writer(draft / f"{_PHOTOS}.{form}") as put,
-            Writer(draft / _DESCRIPTORS, dim=index.dim, dtype=dtype) as file,
+            NpyWriter(draft / _DESCRIPTORS, dim=index.dim, dtype=dtype) as file,
         ):
             for page in index.pages():
                 put(page.photos, page.identities)
@@ -323,7 +324,7 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
         )
     _check_lengths(rows)
     lines, added = read(table), 0
-    for some in rows.blocks(numbers=_COMMIT):
+    for _, some in rows.blocks(numbers=_COMMIT):
         page = list(islice(lines, len(some)))
         contents = [told or _content(photo) for photo, told in page]
         added += index.add([photo for photo, _ in page], some, identities=contents)
@@ -367,8 +368,8 @@ def _fingerprint(name: str, dim: int) -> str:
     return f"foreign-{hashlib.blake2b(f'{dim} {name}'.encode(), digest_size=8).hexdigest()}"
 
 
-def _matrix_in(folder: Path) -> Matrix:
-    return Matrix.open(_one_of(folder, (".npy",), Path(_DESCRIPTORS).stem, "descriptors"))
+def _matrix_in(folder: Path) -> FileRows:
+    return FileRows.of_npy(_one_of(folder, (".npy",), Path(_DESCRIPTORS).stem, "descriptors"))
 
 
 def _table_in(folder: Path) -> Path:
@@ -391,19 +392,17 @@ def _one_of(folder: Path, endings: Sequence[str], ours: str, what: str) -> Path:
     return found[0]
 
 
-def _check_lengths(rows: Matrix) -> None:
-    start = 0
-    for block in rows.blocks():
+def _check_lengths(rows: FileRows) -> None:
+    for start, block in rows.blocks():
         with np.errstate(all="ignore"):
             lengths = np.linalg.norm(block.astype(np.float32), axis=1)
-        bad = (~(np.abs(lengths - 1) <= vectors.UNIT_TOLERANCE)).nonzero()[0]
+        bad = (~(np.abs(lengths - 1) <= UNIT_TOLERANCE)).nonzero()[0]
         if len(bad):
             raise StoreError(
                 f"{rows.path}, row {start + bad[0]}: its length is {lengths[bad[0]]:g}, not 1; divide each row by "
                 "its length (rows / numpy.linalg.norm(rows, axis=1, keepdims=True)), if the model's likeness is "
                 "the cosine"
             )
-        start += len(block)
 
 
 def _content(photo: Photo) -> str:

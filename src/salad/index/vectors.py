@@ -1,7 +1,8 @@
-"""`descriptors.f16`: one row a photo, raw little-endian float16, only ever appended to.
+"""Descriptors in files: an index's own `descriptors.f16`, and the `.npy` files of other tools.
 
-The file does not know its own length. How many rows count is the ledger's word (see `ledger.py`); bytes
-behind them are what an interrupted `add` left, and the next `add` writes over them.
+`descriptors.f16` holds one row a photo, raw little-endian float16, and is only ever appended to. It does not know its
+own length: how many rows count is the catalog's word, and bytes behind them are what an interrupted `add` left, which
+the next `add` writes over.
 """
 
 from __future__ import annotations
@@ -12,42 +13,68 @@ import weakref
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
+import numkong
 import numpy as np
 import numpy.typing as npt
+from numpy.lib import format as npy
 
 from salad.errors import StoreError
+from salad.search.base import LONGEST_UNIT, UNIT_TOLERANCE, Block, Mask
 
 Half = npt.NDArray[np.float16]
 STORED = np.dtype("<f2")
-UNIT_TOLERANCE = 0.01  # a length further from 1 is no rounding: the descriptor was not normalised
 
 _BLOCK = 1 << 20  # numbers read, checked or converted in one go: they stay in the processor's cache
 _KEEP = 1 << 28  # numbers that may stay in memory between searches: 512 MiB
+_NPY_TYPES = (np.float16, np.float32, np.float64)
 
 
-class Rows:
-    """The rows one commit's matrix file holds, read where and when they are asked for.
+class FileRows:
+    """Rows of a file, read where and when they are asked for.
 
     They are read, not mapped: pages of a map count as memory used, and a file cut short under a map kills the
     process. The file stays open, so the rows stay what they are when another process puts a smaller file in
     its place. Any number of threads may read at once.
 
     Attributes:
-        path: The matrix file.
-        rows: Rows that were committed.
+        path: The file.
+        rows: Rows that should be in it.
         dim: Numbers in a row.
+        dtype: float16, or float32, which float64 becomes when it is read.
+        longest: As in `salad.search.base.Rows`.
         held: Rows really in the file, fewer than `rows` where it is truncated; only these can be read.
     """
 
-    def __init__(self, path: Path, *, rows: int, dim: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        rows: int,
+        dim: int,
+        stored: np.dtype[np.floating] = STORED,
+        start: int = 0,
+        longest: float | None = LONGEST_UNIT,
+    ) -> None:
         """Open `path`, of which `rows` rows of `dim` numbers count.
+
+        Args:
+            path: The file.
+            rows: Rows that should be in it.
+            dim: Numbers in a row.
+            stored: What the numbers are in the file.
+            start: The byte at which the first row begins.
+            longest: No sound row is longer; None where rows may have any length.
 
         Raises:
             StoreError: If the file is missing or may not be read.
         """
-        self.path, self.rows, self.dim = path, rows, dim
+        self.path, self.rows, self.dim, self.longest = path, rows, dim, longest
+        self.dtype: np.dtype[np.floating] = np.dtype(np.float16 if stored.type is np.float16 else np.float32)
+        self._stored, self._start = stored, start
         try:
             self._file = path.open("rb", buffering=0)
         except FileNotFoundError as error:
@@ -55,14 +82,44 @@ class Rows:
         except OSError as error:
             raise StoreError(f"{path} cannot be read ({error.strerror}): check its permissions") from error
         self._swept = False
-        self._kept: tuple[Half, npt.NDArray[np.bool_]] | None = None  # rows, and which of them are there
+        self._kept: tuple[Block, Mask] | None = None  # rows, and which of them are there
         self._end = weakref.finalize(self, self._file.close)
         self._lock = threading.Lock()  # for systems that cannot read without moving the file's one position
-        size = os.fstat(self._file.fileno()).st_size
-        self.held = min(rows, size // (dim * STORED.itemsize))
+        size = os.fstat(self._file.fileno()).st_size - start
+        self.held = max(0, min(rows, size // (dim * stored.itemsize)))
 
-    def read(self, start: int, out: Half) -> int:
-        """Fill `out` `[n, dim]`, which must be contiguous, from row `start` on.
+    @classmethod
+    def of_npy(cls, path: Path) -> FileRows:
+        """The rows of a `.npy` file, of any length; nothing in it is ever unpickled.
+
+        Raises:
+            StoreError: If the file is missing or cut short, or holds anything but rows of float16, 32 or 64.
+        """
+        try:
+            with path.open("rb") as file:
+                shape, by_columns, dtype = _npy_head(file)
+                start = file.tell()
+        except OSError as error:
+            raise StoreError(
+                f"{path} cannot be read ({error.strerror}): check the name and permissions"
+            ) from error
+        except (ValueError, EOFError) as error:
+            raise StoreError(f"{path} is no .npy file ({error}): write it with numpy.save") from error
+        if len(shape) != 2 or shape[1] < 1 or dtype.type not in _NPY_TYPES or by_columns:
+            raise StoreError(
+                f"{path} holds {dtype} of shape {list(shape)}{' by columns' if by_columns else ''}: "
+                "descriptors are rows of float16, float32 or float64, one row a photo, in C order"
+            )
+        found = cls(path, rows=shape[0], dim=shape[1], stored=dtype, start=start, longest=None)
+        if found.held < found.rows:
+            raise StoreError(f"{path} is cut short (it should hold {found.rows} rows): write it again")
+        return found
+
+    def __len__(self) -> int:
+        return self.rows
+
+    def read(self, start: int, out: Block) -> int:
+        """Fill `out` `[n, dim]`, which must be contiguous and of this type, from row `start` on.
 
         Returns:
             How many rows were read; fewer than n at the end of what is held.
@@ -71,12 +128,15 @@ class Rows:
             StoreError: If the disk does not give them.
         """
         wanted = max(0, min(len(out), self.held - start))
-        size = self.dim * STORED.itemsize
-        raw = out[:wanted].data.cast("B") if wanted else memoryview(b"")
+        if not wanted:
+            return 0
+        stored = out[:wanted] if self._stored == self.dtype else np.empty((wanted, self.dim), self._stored)
+        size = self.dim * self._stored.itemsize
+        raw = stored.reshape(-1).view(np.uint8).data  # bytes, whatever order a foreign file has them in
         done = 0
         try:
             while done < len(raw):
-                got = self._read_at(start * size + done, raw[done:])
+                got = self._read_at(self._start + start * size + done, raw[done:])
                 if not got:  # somebody cut the file short after it was opened
                     break
                 done += got
@@ -85,6 +145,9 @@ class Rows:
                 f"{self.path} cannot be read ({error.strerror}): check the disk, and restore the index if "
                 "it is failing"
             ) from error
+        if stored.dtype != out.dtype:
+            with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and told as such
+                out[: done // size] = stored[: done // size]
         return done // size
 
     def _read_at(self, place: int, raw: memoryview) -> int:
@@ -100,11 +163,14 @@ class Rows:
         The system has it in its own memory too, but handing it over takes as long as multiplying it.
         """
         if self._swept and self._kept is None and self.held * self.dim <= _KEEP:
-            self._kept = np.empty((self.held, self.dim), dtype=STORED), np.zeros(self.held, dtype=np.bool_)
+            self._kept = (
+                np.empty((self.held, self.dim), dtype=self.dtype),
+                np.zeros(self.held, dtype=np.bool_),
+            )
         self._swept = True
 
-    def block(self, start: int, stop: int, spare: Half) -> Half:
-        """The rows from `start` to `stop`, not to be written to; fewer at the end of what is held.
+    def block(self, start: int, stop: int, spare: Block) -> Block:
+        """The rows from `start` to `stop`, not to be written to; fewer where the last of them are lost.
 
         Args:
             start: The first row.
@@ -112,18 +178,21 @@ class Rows:
             spare: Memory `[n, dim]` for rows that are not kept, n >= stop - start; used where need be.
 
         Raises:
-            StoreError: If the disk does not give them.
+            StoreError: If the disk does not give them; or some are lost, where none may be damaged.
         """
-        if self._kept is None:
-            return spare[: self.read(start, spare[: stop - start])]
-        rows, there = self._kept
-        if not there[start:stop].all():
+        if self._kept is not None:
+            rows, there = self._kept
+            if there[start:stop].all():
+                return rows[start:stop]
             got = self.read(start, rows[start:stop])
             there[start : start + got] = True
             return rows[start : start + got]
-        return rows[start:stop]
+        got = self.read(start, spare[: stop - start])
+        if got < stop - start and self.longest is None:
+            raise StoreError(f"{self.path} was cut short while it was read: write it again")
+        return spare[:got]
 
-    def take(self, rows: Sequence[int] | npt.NDArray[np.integer]) -> Half:
+    def take(self, rows: Sequence[int] | npt.NDArray[np.integer]) -> Block:
         """These rows, in the order given: `[len(rows), dim]`.
 
         Raises:
@@ -133,7 +202,7 @@ class Rows:
         kept = self._kept
         if kept is not None and ((wanted >= 0) & (wanted < self.held)).all() and kept[1][wanted].all():
             return kept[0][wanted]
-        out = np.empty((len(wanted), self.dim), dtype=STORED)
+        out = np.empty((len(wanted), self.dim), dtype=self.dtype)
         ends = np.flatnonzero(np.diff(wanted) != 1) + 1  # rows that follow one another are read at once
         for low, high in zip([0, *ends], [*ends, len(wanted)], strict=True):
             if low < high and (wanted[low] < 0 or self.read(int(wanted[low]), out[low:high]) < high - low):
@@ -143,20 +212,30 @@ class Rows:
                 )
         return out
 
-    def blocks(self, *, numbers: int = _BLOCK) -> Iterator[tuple[int, Half]]:
+    def blocks(self, *, numbers: int = _BLOCK) -> Iterator[tuple[int, Block]]:
         """All rows held, about `numbers` numbers at a time.
 
         Yields:
             The first row of a block, and the block `[n, dim]`; its memory is used again for the next.
         """
         step = max(1, numbers // self.dim)
-        block = np.empty((min(step, self.held), self.dim), dtype=STORED)
+        spare = np.empty((min(step, self.held), self.dim), dtype=self.dtype)
         for start in range(0, self.held, step):
-            yield start, block[: self.read(start, block)]
+            got = self.read(start, spare[: self.held - start])
+            yield start, spare[:got]
 
     def close(self) -> None:
         """Let go of the file; nothing can be read afterwards. It also happens when nobody holds the rows."""
         self._end()
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What one commit of an index holds, for searching: its rows `[N, dim]`, and which of them are alive `[N]`."""
+
+    generation: int
+    rows: FileRows
+    alive: Mask
 
 
 def storable(descriptors: npt.NDArray[np.floating], count: int, dim: int) -> Half:
@@ -171,8 +250,6 @@ def storable(descriptors: npt.NDArray[np.floating], count: int, dim: int) -> Hal
             f"{count} photos need descriptors of shape {[count, dim]}, but these have {list(given.shape)}: "
             "describe them with the index's own model"
         )
-    import torch
-
     rows = np.empty((count, dim), dtype=STORED)
     step = max(1, _BLOCK // dim)
     for low in range(0, count, step):
@@ -180,8 +257,8 @@ def storable(descriptors: npt.NDArray[np.floating], count: int, dim: int) -> Hal
         lengths = np.sqrt(np.einsum("ij,ij->i", some, some))
         if not (np.abs(lengths - 1) <= UNIT_TOLERANCE).all():
             raise StoreError("descriptors must be finite and of length 1: normalise them, or check the model")
-        # Rounding halves is most of the work here, and torch does it 30 times as fast as numpy.
-        torch.from_numpy(rows[low : low + step]).copy_(torch.from_numpy(some))
+        # Rounding halves is most of the work here, and numpy is ten times as slow at it.
+        numkong.astype(some, "float16", out=rows[low : low + step])
     return rows
 
 
@@ -217,3 +294,47 @@ def append(path: Path, rows: Half, *, at: int) -> None:
         raise StoreError(
             f"{path} cannot be written ({error.strerror}): nothing was added; make room, or check permissions"
         ) from error
+
+
+class NpyWriter:
+    """A `.npy` file of rows `[N, dim]` whose N is known only when the last are written; a context manager."""
+
+    def __init__(self, path: Path, *, dim: int, dtype: npt.DTypeLike) -> None:
+        """Begin the file at `path`."""
+        self.rows = 0
+        self._dim, self._dtype = dim, np.dtype(dtype).newbyteorder("<")
+        self._file: BinaryIO = path.open("wb")
+        self._begin()
+        self._start = self._file.tell()
+
+    def write(self, rows: npt.NDArray[np.floating]) -> None:
+        """Append `rows` `[n, dim]`."""
+        self._file.write(np.ascontiguousarray(rows, dtype=self._dtype).tobytes())
+        self.rows += len(rows)
+
+    def __enter__(self) -> NpyWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._file:
+            self._file.seek(0)
+            self._begin()
+            # numpy pads what stands before the numbers so that their count may grow in its place.
+            assert self._file.tell() == self._start
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def _begin(self) -> None:
+        shape = (self.rows, self._dim)
+        head = {"descr": npy.dtype_to_descr(self._dtype), "fortran_order": False, "shape": shape}
+        npy.write_array_header_1_0(self._file, head)
+
+
+def _npy_head(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[np.floating]]:
+    """Shape, whether it is by columns, and type; objects, which would be pickled, are a type like any other."""
+    version = npy.read_magic(file)
+    if version == (1, 0):
+        return npy.read_array_header_1_0(file)
+    if version == (2, 0):
+        return npy.read_array_header_2_0(file)
+    raise ValueError(f"version {version[0]}.{version[1]}")

@@ -17,15 +17,13 @@ from salad.images.photo import Photo
 from salad.index import catalog, index_folder, vectors
 from salad.index.catalog import UNKNOWN, Ledger
 from salad.index.index_folder import Header
-from salad.index.search import Snapshot
-from salad.index.vectors import Half, Rows
+from salad.index.vectors import FileRows, Half, Snapshot
+from salad.search.base import UNIT_TOLERANCE, Mask, Numbers
 
 _ROUNDING = 1e-3
 _BLOCK = 1 << 22  # numbers looked at in one go
 
 Box = tuple[float, float, float, float]
-Mask = npt.NDArray[np.bool_]
-Numbers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +149,12 @@ def sound(rows: Half, sums: Numbers) -> Mask:
         wide = rows.astype(np.float32)
         lengths = np.sqrt(np.einsum("ij,ij->i", wide, wide))
     now = np.array(vectors.sums(rows), dtype=np.int64)
-    plausible = np.abs(lengths - 1) <= vectors.UNIT_TOLERANCE + _ROUNDING
+    plausible = np.abs(lengths - 1) <= UNIT_TOLERANCE + _ROUNDING
     good: Mask = (sums == now) | ((sums == UNKNOWN) & plausible)
     return good
 
 
-def checked(rows: Rows, alive: Mask, sums: Numbers) -> Iterator[tuple[int, Half, Mask]]:
+def checked(rows: FileRows, alive: Mask, sums: Numbers) -> Iterator[tuple[int, Half, Mask]]:
     """Every row held, in blocks, and whether it is alive and sound.
 
     Args:
@@ -172,7 +170,7 @@ def checked(rows: Rows, alive: Mask, sums: Numbers) -> Iterator[tuple[int, Half,
         yield start, block, alive[here] & sound(block, sums[here])
 
 
-def damaged(rows: Rows, alive: Mask, sums: Numbers) -> list[int]:
+def damaged(rows: FileRows, alive: Mask, sums: Numbers) -> list[int]:
     """Living rows that are not sound; those that the file does not even hold are not among them."""
     bad: list[int] = []
     for start, _, good in checked(rows, alive, sums):

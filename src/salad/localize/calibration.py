@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.localize.voting import RADIUS_M, Candidate, Evidence, candidates, confidence
 from salad.network.config import Calibration
 

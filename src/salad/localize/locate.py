@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from salad.errors import PhotoError
 from salad.images.workers import Here, Pixels, in_order, reader_for, workers
-from salad.index.index import Index
-from salad.index.search import Match
+from salad.index.index import Index, Match
 from salad.localize.voting import GENERIC, RADIUS_M, Place, Voting, vote
 from salad.network.config import Calibration
 
 if TYPE_CHECKING:
-    from salad.index.filters import Filter
     from salad.models.describer import Describes
     from salad.network.config import Preprocessing
+    from salad.search.filters import Filter
 
 
 @dataclass(frozen=True, slots=True)

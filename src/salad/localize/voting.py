@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.geo import GeoPoint, centre, metres, metres_between, spread, turn_between
-from salad.index.search import Match
+from salad.index.index import Match
 from salad.network.config import Calibration
 
 # --- Matches as ballots: how much each weighs, and which of them mean one place ---

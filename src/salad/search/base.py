@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from salad.errors import SaladError
+from salad.errors import SearchError
+
+if TYPE_CHECKING:
+    from salad.search.filters import Filter
 
 Queries: TypeAlias = npt.NDArray[np.float32]
 Mask: TypeAlias = npt.NDArray[np.bool_]
@@ -23,10 +26,6 @@ Block: TypeAlias = npt.NDArray[np.floating]  # float16 or float32
 
 UNIT_TOLERANCE = 0.01  # a length further from 1 is no rounding: the descriptor was not normalised
 LONGEST_UNIT = 1 + 2 * UNIT_TOLERANCE  # of a row of length 1, given with that tolerance and stored as float16
-
-
-class SearchError(SaladError):
-    """A search was asked for what cannot be: a query of another dimension, or not finite, or no match at all."""
 
 
 class DamagedRowError(SearchError):
@@ -146,20 +145,32 @@ class Searcher(Protocol):
         """Numbers in a descriptor."""
         ...
 
+    @property
+    def takes_filters(self) -> bool:
+        """Whether it knows where and when its rows were taken, as a database of vectors may, and so takes a filter.
+
+        Any other is given a mask by whoever knows.
+        """
+        ...
+
     def __len__(self) -> int:
         """How many rows are searched; some of them may be damaged or lost."""
         ...
 
-    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | None = None) -> Hits:
+    def search(
+        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
+    ) -> Hits:
         """The k best rows of each query; any number of threads may ask at once.
 
         Args:
             queries: `[Q, dim]`, of any length.
             k: How many, at least one. `Hits` are `[Q, min(k, N)]`.
-            allowed: `[N]`, which rows may come out; all of them where not given. It holds before the ranking.
+            allowed: Which rows may come out, as a mask `[N]` or, where it `takes_filters`, a filter; all of them
+                where not given. It holds before the ranking.
 
         Raises:
-            SearchError: If the queries are of another dimension or not finite, or k is below 1.
+            SearchError: If the queries are of another dimension or not finite, k is below 1, or the mask is of other
+                rows.
         """
         ...
 
@@ -186,6 +197,20 @@ def as_queries(queries: npt.NDArray[np.floating], dim: int) -> Queries:
             "from"
         )
     return np.ascontiguousarray(asked)
+
+
+def as_mask(allowed: Mask | Filter | None, rows: int) -> Mask | None:
+    """What a searcher that takes no filters was given.
+
+    Raises:
+        SearchError: If it is a filter, or is not `[rows]`.
+    """
+    if allowed is None or (isinstance(allowed, np.ndarray) and allowed.shape == (rows,)):
+        return allowed
+    given = f"one of shape {list(allowed.shape)}" if isinstance(allowed, np.ndarray) else "a filter"
+    raise SearchError(
+        f"{rows} rows are searched, and a mask says which of them may be found: this is {given}"
+    )
 
 
 def check_k(k: int) -> None:

@@ -28,7 +28,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from queue import Empty, SimpleQueue
 from threading import Lock
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numkong
 import numpy as np
@@ -43,9 +43,13 @@ from salad.search.base import (
     Queries,
     Rows,
     Scores,
+    as_mask,
     as_queries,
     check_k,
 )
+
+if TYPE_CHECKING:
+    from salad.search.filters import Filter
 
 Single = npt.NDArray[np.float32]
 T = TypeVar("T")
@@ -76,6 +80,8 @@ class ExactSearcher:
         self._rows = rows
         self._threads = threads or _processors()
 
+    takes_filters = False
+
     @property
     def dim(self) -> int:
         """Numbers in a row."""
@@ -84,29 +90,32 @@ class ExactSearcher:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | None = None) -> Hits:
+    def search(
+        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
+    ) -> Hits:
         """The k best rows of each query.
 
         Args:
             queries: `[Q, dim]`, of any length.
             k: How many, at least one.
-            allowed: `[N]`, which rows may come out; all of them where not given.
+            allowed: Which rows may come out, as a mask `[N]`; all of them where not given.
 
         Returns:
             Rows and scores `[Q, min(k, N)]`.
 
         Raises:
-            SearchError: If the queries are of another dimension or not finite, or k is below 1.
+            SearchError: If the queries are of another dimension or not finite, k is below 1, or `allowed` is no mask
+                of these rows.
             DamagedRowError: If a row may have any length and has none.
             StoreError: If the rows lie on a disk that does not give them.
         """
         check_k(k)
-        asked = as_queries(queries, self.dim)
+        asked, mask = as_queries(queries, self.dim), as_mask(allowed, len(self))
         k = min(k, len(self))
         if not k or not len(asked):
             return Hits(np.empty((len(asked), k), dtype=np.int64), np.empty((len(asked), k)))
         found = [
-            hits for some in _pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, allowed)
+            hits for some in _pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, mask)
         ]
         return Hits(
             np.concatenate([hits.rows for hits in found]), np.concatenate([hits.scores for hits in found])

@@ -14,7 +14,7 @@ Source: Suzuki et al., "Centering Similarity Measures to Reduce Hubs", EMNLP 201
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,9 @@ from salad.search.base import (
     Searcher,
     as_queries,
 )
+
+if TYPE_CHECKING:
+    from salad.search.filters import Filter
 
 Mean: TypeAlias = npt.NDArray[np.float64]
 
@@ -55,10 +58,17 @@ class Centred:
         """Numbers in a descriptor."""
         return self._searcher.dim
 
+    @property
+    def takes_filters(self) -> bool:
+        """Whether the other does."""
+        return self._searcher.takes_filters
+
     def __len__(self) -> int:
         return len(self._searcher)
 
-    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | None = None) -> Hits:
+    def search(
+        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
+    ) -> Hits:
         """The k best rows of each query, as `Searcher.search` says."""
         asked, added = centred(as_queries(queries, self.dim), self._mean)
         hits = self._searcher.search(asked, k=k, allowed=allowed)

@@ -5,10 +5,15 @@ What the tests hold every other searcher to, and a pattern for writing one. It t
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 
-from salad.search.base import DamagedRowError, Hits, Mask, Numbers, Rows, as_queries, check_k
+from salad.search.base import DamagedRowError, Hits, Mask, Numbers, Rows, as_mask, as_queries, check_k
+
+if TYPE_CHECKING:
+    from salad.search.filters import Filter
 
 
 class PlainSearcher:
@@ -28,6 +33,8 @@ class PlainSearcher:
         if rows.longest is None and bad.size:
             raise DamagedRowError(int(bad[0]))
 
+    takes_filters = False
+
     @property
     def dim(self) -> int:
         """Numbers in a row."""
@@ -36,10 +43,12 @@ class PlainSearcher:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | None = None) -> Hits:
+    def search(
+        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
+    ) -> Hits:
         """The k best rows of each query, as `Searcher.search` says."""
         check_k(k)
-        asked = as_queries(queries, self.dim).astype(np.float64)
+        asked, mask = as_queries(queries, self.dim).astype(np.float64), as_mask(allowed, len(self))
         hits = Hits(
             np.full((len(asked), min(k, len(self))), -1, dtype=np.int64),
             np.full((len(asked), min(k, len(self))), -np.inf),
@@ -49,7 +58,7 @@ class PlainSearcher:
                 scores = (self._rows * query).sum(axis=1)
             most = np.inf if self._longest is None else self._longest * float(np.linalg.norm(query))
             sound = np.isfinite(scores) & (np.abs(scores) <= most)
-            those = np.flatnonzero(sound if allowed is None else sound & allowed)
+            those = np.flatnonzero(sound if mask is None else sound & mask)
             best: Numbers = those[np.argsort(-scores[those], kind="stable")][:k]
             hits.rows[number, : len(best)] = best
             hits.scores[number, : len(best)] = scores[best]

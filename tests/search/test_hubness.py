@@ -8,11 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from salad.evaluation.ranking import Held, nearest
+from salad.evaluation.evaluate import rank
 from salad.images.photo import Photo
-from salad.index import centring
 from salad.index.index import Index
-from salad.index.vectors import Rows
+from salad.index.vectors import FileRows
+from salad.search import hubness
+from salad.search.base import ArrayRows, DamagedRowError
+from salad.search.hubness import mean_of_all, mean_of_some
 
 Make = Callable[[np.ndarray], Index]
 
@@ -52,7 +54,7 @@ def add(index: Index, rows: np.ndarray, *, first: int = 0) -> None:
     index.add([Photo(Path("/photos", name)) for name in names], rows, identities=names)
 
 
-@pytest.mark.parametrize("count", [7, centring._STEP, 2 * centring._STEP + 9])
+@pytest.mark.parametrize("count", [7, hubness._STEP, 2 * hubness._STEP + 9])
 def test_it_is_the_formula(made: Make, count: int) -> None:
     rows, queries = leaning(0, 40), leaning(1, count)
     due = oracle(queries, rows)
@@ -74,19 +76,19 @@ def test_what_is_like_everything_no_longer_comes_first(made: Make) -> None:
 @settings(max_examples=50)
 def test_the_same_picture_scores_one(seed: int, rows: int, lean: float) -> None:
     held = leaning(seed, rows, lean=lean)
-    moved, added = centring.centred(held, held.astype(np.float64).mean(axis=0))
+    moved, added = hubness.centred(held, held.astype(np.float64).mean(axis=0))
     lengths = (held.astype(np.float64) ** 2).sum(axis=1)
     assert (moved.astype(np.float64) * held).sum(axis=1) + added == pytest.approx(lengths, abs=1e-6)
 
 
 def test_an_evaluation_ranks_as_an_index_does(made: Make) -> None:
     rows, queries = leaning(2, 60), leaning(3, 9)
-    ranked = nearest(Held(queries), Held(rows), k=5, centred=True)
+    ranked = rank(ArrayRows(queries), ArrayRows(rows), k=5, centred=True)
     assert ranked.scores is not None
     found = made(rows).search(queries, k=5, centred=True)
     assert ranked.rows.tolist() == [[match.row for match in matches] for matches in found]
     assert ranked.scores == pytest.approx(np.array([[m.score for m in matches] for matches in found]))
-    plain = nearest(Held(queries), Held(rows), k=5)
+    plain = rank(ArrayRows(queries), ArrayRows(rows), k=5)
     assert ranked.rows.tolist() != plain.rows.tolist()
 
 
@@ -114,9 +116,9 @@ class TestMean:
     def over(self, folder: Path, rows: np.ndarray, alive: np.ndarray) -> np.ndarray:
         path = folder / "m"
         path.write_bytes(np.asarray(rows, dtype="<f2").tobytes())
-        held = Rows(path, rows=len(rows), dim=rows.shape[1])
+        held = FileRows(path, rows=len(rows), dim=rows.shape[1])
         try:
-            return centring.mean_of(held, alive)
+            return mean_of_some(held, alive)
         finally:
             held.close()
 
@@ -127,10 +129,28 @@ class TestMean:
         rows[1], rows[298], rows[299] = np.nan, np.inf, 3.0
         assert self.over(tmp_path, rows, alive) == pytest.approx(due)
 
-    def test_of_many_it_takes_some_evenly_spread(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(centring, "MOST", 3)
+    def test_of_many_it_takes_some_evenly_spread(self) -> None:
         rows, alive = leaning(7, 9), np.ones(9, dtype=np.bool_)
         alive[[1, 2]] = False  # of rows 0, 3, 4, ..., 8 the first, the middle and the last
-        assert self.over(tmp_path, rows, alive) == pytest.approx(rows[[0, 5, 8]].mean(axis=0))
+        found = mean_of_some(ArrayRows(np.float16(rows)), alive, most=3)
+        assert found == pytest.approx(rows[[0, 5, 8]].mean(axis=0))
+
+
+class TestMeanOfAll:
+    @pytest.mark.parametrize("numbers", [1, 50, 1 << 22])
+    @pytest.mark.parametrize("kind", [np.float16, np.float32])
+    def test_all_count_of_whatever_length(
+        self, numbers: int, kind: type, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(hubness, "_NUMBERS", numbers)
+        rows = (leaning(8, 5000) * np.linspace(1, 40, 5000)[:, None]).astype(kind)
+        assert mean_of_all(ArrayRows(rows)) == pytest.approx(rows.astype(np.float64).mean(axis=0), abs=1e-9)
+
+    def test_no_rows_have_no_mean(self) -> None:
+        assert mean_of_all(ArrayRows(np.zeros((0, 3)))).tolist() == [0, 0, 0]
+
+    def test_a_damaged_row_is_named(self) -> None:
+        rows = leaning(9, 40)
+        rows[31, 2] = np.nan
+        with pytest.raises(DamagedRowError, match="row 31 "):
+            mean_of_all(ArrayRows(rows))
