@@ -30,7 +30,6 @@ from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.geo import GeoPoint, metres
 from salad.images.photo import Photo, read_photo
-from salad.index import centring
 from salad.index.index import Match
 from salad.localize.calibration import (
     BINS,
@@ -44,6 +43,9 @@ from salad.localize.calibration import (
 from salad.models.describer import Describer
 from salad.models.model_folder import write_calibration
 from salad.network.config import Calibration
+from salad.search.base import ArrayRows, Searcher
+from salad.search.exact import ExactSearcher
+from salad.search.hubness import Centred, mean_of_all
 from salad.training.recipe import PRESETS, preset
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -66,7 +68,7 @@ class Shown(NamedTuple):
 class Question:
     """Queries beside an index; `names` are the places they show, the index's first `own` photos theirs.
 
-    Scores are those of `salad.index.centring` where `centred`.
+    Scores are those of `salad.search.hubness` where `centred`.
     """
 
     queries: Shown
@@ -95,17 +97,19 @@ class Question:
 
     def cases(self, *, taken_out: bool = False, near: bool = True) -> list[Case]:
         """What the index says of each query; with its own place taken out of it, or not near at all, if asked."""
-        asked, added = self.queries.rows, np.zeros(len(self.queries.rows))
+        rows = ArrayRows(self.index.rows)
+        searcher: Searcher = ExactSearcher(rows)
         if self.centred:
-            asked, added = centring.centred(asked, self.index.rows.mean(axis=0, dtype=np.float64))
-        scores = asked @ self.index.rows.T + added[:, None]
+            searcher = Centred(searcher, mean_of_all(rows))
         lat, lon = degrees(self.index)
         found = []
         for row, (query, name) in enumerate(zip(self.queries.photos, self.names, strict=True)):
+            apart = None
             if taken_out and query.where:
-                scores[row, metres(lat, lon, query.where.lat, query.where.lon) <= APART_M] = -np.inf
-            best = np.argsort(-scores[row], kind="stable")[:K]
-            matches = [Match(self.index.photos[n], float(scores[row, n]), int(n)) for n in best]
+                apart = metres(lat, lon, query.where.lat, query.where.lon) > APART_M
+            hits = searcher.search(self.queries.rows[row : row + 1], k=K, allowed=apart)
+            best = zip(hits.rows[0].tolist(), hits.scores[0].tolist(), strict=True)
+            matches = [Match(self.index.photos[n], score, n) for n, score in best if n >= 0]
             found.append(Case(name, matches, query.where if near else None))
         return found
 
