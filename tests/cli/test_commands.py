@@ -518,7 +518,7 @@ def test_demo_shows_a_table_and_says_where_the_page_is(
         return shown
 
     monkeypatch.setattr("salad.demo.run.run_demo", run_demo)
-    monkeypatch.setattr("salad.demo.report.table", table)
+    monkeypatch.setattr("salad.demo.demo_result.table", table)
     ran = cli("demo", "--to", tmp_path / "here", "--seed", 9)
     assert ran.code == 0
     assert told == {"to": tmp_path / "here", "seed": 9}

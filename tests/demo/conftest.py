@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from salad.demo.result import DemoResult, Judged
+from salad.demo.demo_result import DemoResult, Judged
 from salad.demo.town.town import Town
 from salad.geo import GeoPoint, shifted
 from salad.images.decode import save_jpeg

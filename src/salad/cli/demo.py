@@ -19,7 +19,7 @@ class DemoCommand:
 
     def run(self) -> int:
         """Show what this is about."""
-        from salad.demo.report import table
+        from salad.demo.demo_result import table
         from salad.demo.run import run_demo
 
         with shell.progress("demo") as bar:

@@ -189,7 +189,7 @@ class EvaluateCommand:
     def _shown(self, result: Result, model: Describes | None) -> int:
         self._write(result)
         if self.report is not None:
-            from salad.report.page import write_report
+            from salad.report.evaluation_page import write_report
 
             for told in write_report(result, self.report, model):
                 shell.say(told)

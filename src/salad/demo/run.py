@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salad.demo.page import write_page
-from salad.demo.result import DemoResult, Judged
+from salad.demo.demo_page import write_demo_page
+from salad.demo.demo_result import DemoResult, Judged
 from salad.demo.town.town import Town, draw_town
 from salad.errors import StoreError
 from salad.index.build import index_photos
@@ -80,7 +80,7 @@ def run_demo(
         index=home / "town.index",
     )
     say("Drawing the page")
-    write_page(result, model)
+    write_demo_page(result, model)
     return result
 
 

@@ -1,68 +1,146 @@
-"""A mistake as a strip of photos: what was asked, what was found, what would have been right."""
+"""A strip: one query's card with its photos side by side, small, and over them what the model threw away."""
 
 from __future__ import annotations
 
-from salad.evaluation.result import QueryResult
-from salad.geo import told_metres
-from salad.report.choosing import outcome
-from salad.report.pictures import Pictures
-from salad.report.words import ordinal, shown
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from PIL import Image
+
+from salad.errors import PhotoError
+from salad.images.decode import open_rgb
+from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_of
+
+if TYPE_CHECKING:
+    from salad.models.describer import Describes
+
+QUALITY = 76
+"""Of the JPEGs inside a page: at these sizes more is not seen, and a page is mailed around."""
 
 
-def draw_strip(number: int, pictures: Pictures, *, marked: bool = True) -> str:
-    """One query's card, `id="query-N"` with N from 1.
+@dataclass(frozen=True, slots=True)
+class Thumbnail:
+    """A photo as a page holds it: as data, so that the page stays one file.
 
-    Args:
-        number: of the query, from 0.
-        pictures: of the result that it is one of.
-        marked: whether the query has a mark on the map or the drive, which the card then leads back to.
+    Attributes:
+        uri: The photo.
+        width: In pixels.
+        height: In pixels.
+        layers: What may lie over it, by name: the `dustbin`, the `clusters`.
     """
-    one = pictures.result.per_query[number]
-    group = f'<p class="group">{shown(one.group)}</p>' if one.group is not None else ""
-    back = f'<a class="to-map" href="#map-{number + 1}">where it is</a>' if marked else ""
-    photos = (
-        _figure("asked", pictures.query(number), "asked", shown(one.query)),
-        _found(one, pictures),
-        _right(one, pictures),
-    )
-    return f"""
-<article class="strip {outcome(one)}" id="query-{number + 1}" tabindex="-1" aria-labelledby="name-{number + 1}">
-<header><p class="verdict"><span class="glyph" aria-hidden="true"></span>{_said(one)}</p>
-<h3 id="name-{number + 1}" title="{shown(one.query)}">{shown(one.query)}</h3>{group}{back}</header>
-<div class="photos">{"".join(photos)}</div></article>"""
+
+    uri: str
+    width: int
+    height: int
+    layers: Mapping[str, str]
 
 
-def _said(one: QueryResult) -> str:
-    if not one.positives:
-        return "no reference is right"
-    if one.metres is not None:
-        return f"{told_metres(one.metres)} off"
-    if one.first_right is not None:
-        return f"the right one came {ordinal(one.first_right)}"
-    return f"not among {len(one.matches)}" if one.matches else "nothing found"
+@dataclass(slots=True)
+class Thumbnails:
+    """Opens each photo of a page once.
+
+    Attributes:
+        model: Draws where tokens went over the photos; without it, or without a dustbin, they stand alone.
+        clusters: Whether to draw the clusters too, besides the dustbin.
+        missing: Names of the photos that cannot be opened.
+        dustbins: What the dustbin took of each photo, as a share.
+    """
+
+    model: Describes | None = None
+    clusters: bool = False
+    missing: list[str] = field(default_factory=list)
+    dustbins: list[float] = field(default_factory=list)
+    _drawn: dict[tuple[Path, int], Thumbnail | None] = field(default_factory=dict)
+
+    def of(self, path: Path, name: str, *, side: int) -> Thumbnail | None:
+        """A photo with its layers, or None where it cannot be opened.
+
+        Args:
+            path: The file.
+            name: What to call it among the `missing`.
+            side: Pixels of its longer side at most.
+        """
+        if (path, side) not in self._drawn:
+            try:
+                self._drawn[path, side] = self._draw(open_rgb(path), side)
+            except (PhotoError, OSError, ValueError):  # the last: a name from a file that no system takes
+                self.missing.append(name)
+                self._drawn[path, side] = None
+        return self._drawn[path, side]
+
+    def _draw(self, photo: Image.Image, side: int) -> Thumbnail:
+        layers = {}
+        share = None if self.model is None else share_of(self.model, photo)
+        if share is not None:
+            self.dustbins.append(float(share.dustbin.mean()))
+            layers["dustbin"] = data_uri(dustbin_layer(share))
+            if self.clusters:
+                layers["clusters"] = data_uri(cluster_layer(share))
+        photo.thumbnail((side, side), Image.Resampling.LANCZOS)
+        return Thumbnail(data_uri(photo, quality=QUALITY), photo.width, photo.height, layers)
+
+    @property
+    def opened(self) -> int:
+        """How many photos could be opened."""
+        return sum(drawn is not None for drawn in self._drawn.values())
+
+    @property
+    def dustbin(self) -> float | None:
+        """What the dustbin took over all photos, as a share; None where there is none."""
+        return sum(self.dustbins) / len(self.dustbins) if self.dustbins else None
 
 
-def _found(one: QueryResult, pictures: Pictures) -> str:
-    if not one.matches:
-        return _figure("found", '<span class="picture gone">nothing</span>', "found", "")
-    best = one.matches[0]
-    score = f'<span class="score">{one.scores[0]:.3f}</span>' if one.scores else ""
-    name = shown(pictures.result.known[best].name)
-    return _figure("found wrong", pictures.reference(best), f"found {score}", name)
+class Words(NamedTuple):
+    """Part of a caption: the text, its style, and what is said when it is pointed at."""
+
+    text: str
+    kind: str = ""
+    title: str = ""
 
 
-def _right(one: QueryResult, pictures: Pictures) -> str:
-    if one.right is None or one.right not in pictures.result.known:
-        return _figure("missed", '<span class="picture gone">none of the references</span>', "right", "")
-    rank = (
-        f"found {ordinal(one.first_right)}" if one.first_right else f"not among the first {len(one.matches)}"
-    )
-    name = shown(pictures.result.known[one.right].name)
-    return _figure("missed right", pictures.reference(one.right), f"right: {rank}", name)
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One photo of a strip.
+
+    Attributes:
+        kind: Its styles.
+        thumbnail: The photo; None where there is none to show.
+        alt: The photo in words, or what stands in its place.
+        href: Where the photo leads, if anywhere.
+        caption: Below it.
+    """
+
+    kind: str
+    thumbnail: Thumbnail | None
+    alt: str
+    href: str = ""
+    caption: Sequence[Words] = ()
 
 
-def _figure(kind: str, picture: str, told: str, name: str) -> str:
-    return (
-        f'<figure class="{kind}">{picture}<figcaption><span>{told}</span>'
-        f'<span class="name">{name}</span></figcaption></figure>'
-    )
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """One query's card.
+
+    Attributes:
+        number: Of the query, from 1: the card is `#query-N`, its mark on the map `#map-N`.
+        outcome: What became of it: its colour and its shape.
+        verdict: The same in words.
+        name: Of its photo.
+        figures: Its photos, the query's own first.
+        aside: What else is known of it: its group, its light.
+        facts: Named figures, each with what stands small beside it.
+        marked: Whether the map has a mark of it to lead back to.
+        data: Values that a page's script filters by.
+    """
+
+    number: int
+    outcome: str
+    verdict: str
+    name: str
+    figures: Sequence[Figure]
+    aside: str = ""
+    facts: Sequence[tuple[str, str, str]] = ()
+    marked: bool = True
+    data: Mapping[str, object] = field(default_factory=dict)

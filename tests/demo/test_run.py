@@ -8,8 +8,7 @@ import pytest
 from rich.console import Console
 
 from salad.demo import run as demo
-from salad.demo.report import distance, table
-from salad.demo.result import DemoResult
+from salad.demo.demo_result import DemoResult, distance, table
 from salad.demo.run import run_demo
 from salad.demo.town.town import Town
 from salad.errors import StoreError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -13,22 +12,20 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from pages import Page, Sharing
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
 from salad.evaluation.evaluate import EvalSettings, judge
 from salad.evaluation.leaks import Leak
-from salad.evaluation.result import QueryResult, Ranked, Result, read_result, write_result
-from salad.geo import GeoPoint, metres_between, round_metres, shifted, told_metres
+from salad.evaluation.result import Ranked, Result, read_result, write_result
+from salad.geo import GeoPoint, shifted
 from salad.images.decode import save_jpeg
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber
-from salad.report import choosing, plots, sheet, words
-from salad.report.page import draw_report, write_report
-from salad.report.pictures import link
+from salad.report import map as maps
+from salad.report import mistakes
+from salad.report.evaluation_page import draw_report, write_report
 
 HOME = GeoPoint(48.1, 11.5)
 Make = Callable[..., Result]
@@ -46,7 +43,7 @@ class Sheet(Page):
         found = Counter(
             (attrs["class"] or "").split()[1] for tag in ("a", "g") for attrs in self.all(tag, "query")
         )
-        return {kind: found[kind] for kind in choosing.OUTCOMES}
+        return {kind: found[kind] for kind in mistakes.OUTCOMES}
 
 
 @pytest.fixture
@@ -144,7 +141,7 @@ def test_marks_are_as_many_as_the_result_counts(
 ) -> None:
     result = make(positions=positions, groups=[f"drive {n % 3}" for n in range(12)] if grouped else None)
     page = drawn(result, tmp_path)
-    expected = choosing.counts(result.per_query)
+    expected = mistakes.counts(result.per_query)
     assert page.marks() == expected
     assert sum(expected.values()) == result.queries
     assert expected["unanswerable"] == result.unanswerable == 1
@@ -160,13 +157,13 @@ def test_very_many_queries_are_shapes_and_are_all_there(
     make: Make, tmp_path: Path, positions: Sequence[int] | None
 ) -> None:
     few = make(10, positions=positions)
-    many = tuple(few.per_query[n % 10] for n in range(sheet.SINGLE + 6))
+    many = tuple(few.per_query[n % 10] for n in range(maps.SINGLE + 6))
     result = replace(few, per_query=many, queries=len(many))
     text = draw_report(result, tmp_path / "page.html")[0]
-    page, expected = Sheet(text), choosing.counts(many)
-    assert sum(page.marks().values()) == 2 * choosing.SHOWN + choosing.UNANSWERABLE
+    page, expected = Sheet(text), mistakes.counts(many)
+    assert sum(page.marks().values()) == 2 * mistakes.SHOWN + mistakes.UNANSWERABLE
     crowds = page.all("path", "crowd") or page.all("path", "mark", "query")
-    for kind in choosing.OUTCOMES:
+    for kind in mistakes.OUTCOMES:
         shapes = [one["d"] or "" for one in crowds if kind in (one["class"] or "").split()]
         each = "v" if positions is not None else "h0"
         count = sum(shape.count(each) for shape in shapes)
@@ -258,16 +255,6 @@ def test_heat_lies_over_every_photo_of_a_model_with_a_dustbin(make: Make, tmp_pa
         assert all(max(int(a["width"] or 0), int(a["height"] or 0)) <= 256 for a in photos)
 
 
-def test_a_link_to_another_drive_is_the_files_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def apart(*_: object) -> str:
-        raise ValueError
-
-    assert link(tmp_path / "a b.jpg", tmp_path / "p.html") == "a%20b.jpg"
-    assert link(tmp_path / "x:y.jpg", tmp_path / "in" / "p.html") == "../x%3Ay.jpg"
-    monkeypatch.setattr(os.path, "relpath", apart)
-    assert link(tmp_path / "a b.jpg", tmp_path / "p.html") == (tmp_path / "a b.jpg").as_uri()
-
-
 # --- what results there are ----------------------------------------------------------------
 
 
@@ -318,60 +305,11 @@ def test_where_nothing_can_be_written(make: Make, tmp_path: Path) -> None:
         write_report(make(photos=False), tmp_path / "no" / "page.html")
 
 
-# --- parts ---------------------------------------------------------------------------------
-
-VERDICTS = st.builds(
-    QueryResult,
-    query=st.just("q"),
-    positives=st.integers(0, 2),
-    first_right=st.none() | st.integers(1, 5),
-    matches=st.just((0, 1)),
-    scores=st.none() | st.tuples(st.floats(-1, 1), st.just(-1.0)),
-    metres=st.none() | st.floats(0, 1e6),
-).map(lambda one: one if one.positives else replace(one, first_right=None))
-
-
-@given(st.lists(VERDICTS, max_size=30))
-def test_mistakes_are_chosen_in_order_and_once(verdicts: list[QueryResult]) -> None:
-    sure = choosing.surest(verdicts, most=5)
-    far = choosing.worst(verdicts, besides=sure, most=5)
-    assert not set(sure) & set(far)
-    assert not any(verdicts[number].hit(1) for number in (*sure, *far))
-    scores = [one.scores[0] for one in verdicts if one.scores and choosing.outcome(one) == "wrong"]
-    assert [verdicts[n].scores[0] for n in sure] == sorted(scores, reverse=True)[:5]
-    metres = [verdicts[n].metres for n in far]
-    known = [one for one in metres if one is not None]
-    assert known == sorted(known, reverse=True)
-    assert metres[: len(known)] == known
-
-
-@given(
-    lat=st.floats(-75, 75), lon=st.floats(-180, 180), north=st.floats(-5e3, 5e3), east=st.floats(-5e3, 5e3)
-)
-def test_the_map_keeps_distances_and_holds_its_points(
-    lat: float, lon: float, north: float, east: float
-) -> None:
-    here = GeoPoint(lat, lon)
-    there = shifted(here, north, east)
-    frame = sheet.Frame.around([(one.lat, one.lon) for one in (here, there)])
-    (x, y), (to_x, to_y) = (frame.at((one.lat, one.lon)) for one in (here, there))
-    apart = math.hypot(to_x - x, to_y - y) / frame.scale
-    assert apart == pytest.approx(metres_between(here, there), rel=5e-3, abs=0.01)
-    assert (to_y < y) == (north > 0) or abs(to_y - y) < 2
-    assert all(0 < one < sheet.WIDE for one in (x, to_x))
-    assert all(0 < one < frame.height for one in (y, to_y))
-    assert sheet.SHAPE[0] * sheet.WIDE <= frame.height <= sheet.SHAPE[1] * sheet.WIDE
-
-
 def test_towns_far_apart_have_maps_of_their_own(make: Make, tmp_path: Path) -> None:
-    places = {n: (40.0 + 2 * (n % 3), 10.0 + n / 1e4) for n in range(10)}
-    assert [len(some) for some in sheet.regions(places)] == [4, 3, 3]
-    along = {n: (40.0 + 0.2 * n, 10.0 - 0.2 * n) for n in range(10)}  # one road from town to town
-    assert sheet.regions(along) == [list(range(10))]
     result = make(20, photos=False)
     far = tuple(replace(one, where=(float(n), 0.0)) for n, one in enumerate(result.per_query))
     page = drawn(replace(result, per_query=far), tmp_path)
-    assert len(page.all("svg", "map")) == sheet.MAPS
+    assert len(page.all("svg", "map")) == maps.MAPS
     assert "14 queries in 14 smaller regions are not drawn." in page.said
     ids = {attrs.get("id") for _, attrs in page.tags}
     back = [attrs["href"] or "" for attrs in page.all("a", "to-map")]
@@ -379,25 +317,3 @@ def test_towns_far_apart_have_maps_of_their_own(make: Make, tmp_path: Path) -> N
     assert all(target[1:] in ids for target in back)
     odd = tuple(replace(one, where=(math.nan, 0.0)) for one in result.per_query)
     assert len(drawn(replace(result, per_query=odd), tmp_path).all("svg", "drive")) == 1
-
-
-@settings(max_examples=30)
-@given(st.lists(st.tuples(st.floats(0, 100), st.floats(0, 100)), min_size=1, max_size=40))
-def test_a_curve_stays_between_its_axes(corners: list[tuple[float, float]]) -> None:
-    x = plots.Axis("x", 0, 100, plots.SHARES)
-    text = plots.plot("p", x, plots.PERCENT, sorted(corners))
-    path = Sheet(text).all("path", "curve")[0]["d"] or ""
-    points = [tuple(map(float, corner.split())) for corner in path.removeprefix("M").split("L")]
-    assert all(plots.LEFT <= across <= plots.LEFT + plots.WIDE for across, _ in points)
-    assert all(plots.ABOVE <= down <= plots.ABOVE + plots.HIGH for _, down in points)
-
-
-def test_words() -> None:
-    assert [words.ordinal(n) for n in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
-        *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
-    ]
-    assert [told_metres(m) for m in (0.04, 9.94, 9.96, 999.4, 999.5, 1234567, math.inf)] == [
-        *("0.0 m", "9.9 m", "10 m", "999 m", "1.0 km", "1,234.6 km", "infinitely far")
-    ]
-    assert words.several(1, "query", "queries") == "1 query"
-    assert round_metres(60) == 50

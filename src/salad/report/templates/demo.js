@@ -50,11 +50,5 @@
       show();
     });
   });
-  all("input[name=view]").forEach((input) =>
-    input.addEventListener("change", () => {
-      root.dataset.view = input.value;
-    }));
-  const kept = document.querySelector("input[name=view]:checked"); // browsers keep a form's state on reload
-  if (kept) root.dataset.view = kept.value;
   show();
 })();

@@ -1,4 +1,4 @@
-"""What the demo measures: every answer beside the truth, and the figures drawn from them."""
+"""What the demo measures: every answer beside the truth, its figures, and a table of them for the terminal."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from pathlib import Path
 from statistics import median
 from typing import Literal
 
+from rich.table import Table
+from rich.text import Text
+
 from salad.demo.town.town import Town
-from salad.geo import GeoPoint, metres_between
+from salad.geo import GeoPoint, metres_between, told_metres
 from salad.index.index import Match
 from salad.localize.locate import Answer
 
@@ -121,3 +124,34 @@ class DemoResult:
     def conditions(self) -> dict[str, int]:
         """How many queries there are of each condition, in the order they first come."""
         return dict(Counter(one.condition for one in self.judged))
+
+
+def table(result: DemoResult) -> Table:
+    """The result as a table: a row for each condition and one for all."""
+    caption = (
+        f"{result.described} photos described in {result.seconds:.1f} s: {result.photos_a_second:.1f} a second. "
+        "The median counts the answered ones."
+    )
+    title = f"{result.queries} photos located by {result.model}"
+    rows = Table(title=Text(title), caption=Text(caption))
+    rows.add_column("light and weather")
+    for heading in ("photos", f"right within {WITHIN_M:.0f} m", "wrong", "unknown", "median error"):
+        rows.add_column(heading, justify="right")
+    for condition, photos in result.conditions.items():
+        rows.add_row(*_row(result, condition, photos))
+    rows.add_section()
+    rows.add_row(*_row(result, None, result.queries), style="bold")
+    return rows
+
+
+def _row(result: DemoResult, condition: str | None, photos: int) -> list[Text]:
+    right, wrong, unknown = (result.count(verdict, condition=condition) for verdict in VERDICTS)
+    share = f" ({100 * right / photos:.0f} %)" if condition is None and photos else ""
+    cells = [condition or "all", str(photos), f"{right}{share}", str(wrong), str(unknown)]
+    # Text, not str: a condition in brackets is no markup of the table's.
+    return [Text(cell) for cell in (*cells, distance(result.median_error(condition)))]
+
+
+def distance(metres: float | None) -> str:
+    """Metres for people: `3.2 m`, `48 m`, `1.3 km`, or a dash where unknown."""
+    return "–" if metres is None else told_metres(metres)

@@ -1,0 +1,229 @@
+"""The demo's page: the figures, the map of the town with true and found positions, and a strip for every query."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from salad.demo.demo_result import VERDICTS, WITHIN_M, DemoResult, Judged
+from salad.geo import GeoPoint, told_metres
+from salad.images.photo import read_photo
+from salad.report.map import Frame, QueryMark
+from salad.report.page import render, write_page
+from salad.report.strips import Figure, Strip, Thumbnails, Words
+
+if TYPE_CHECKING:
+    from salad.index.index import Match
+    from salad.models.describer import Describes
+
+BEST = 3
+"""References shown beside a query."""
+QUERY_SIDE, REFERENCE_SIDE = 480, 320
+"""Pixels of photos' longer sides: twice of what the page shows, for fine screens."""
+TINTS = 4
+"""Of house roofs."""
+
+
+def write_demo_page(result: DemoResult, model: Describes | None = None) -> Path:
+    """Write the page to `result.page`; an older one is replaced whole or not at all.
+
+    Args:
+        result: What to show.
+        model: Draws the dustbin and the clusters over the photos; without it, or without a dustbin, the page
+            shows the photos alone.
+
+    Raises:
+        BenchmarkError: If the page cannot be written.
+        PhotoError: If a reference of the town cannot be read.
+    """
+    write_page(result.page, draw_demo_page(result, model))
+    return result.page
+
+
+def draw_demo_page(result: DemoResult, model: Describes | None = None) -> str:
+    """The page as text; `model` as for `write_demo_page`."""
+    thumbnails = Thumbnails(model, clusters=True)
+    strips = [_strip(number, one, thumbnails) for number, one in enumerate(result.judged, 1)]
+    return render(
+        "demo.html.j2",
+        result=result,
+        within_m=WITHIN_M,
+        town_map=town_map(result),
+        chips=_chips(result),
+        verdicts={verdict: result.count(verdict) for verdict in VERDICTS},
+        dustbin=thumbnails.dustbin,
+        strips=strips,
+    )
+
+
+class Chip(NamedTuple):
+    """A button that shows only the queries of one condition: how many there are, and what became of them."""
+
+    condition: str
+    label: str
+    queries: int
+    verdicts: dict[str, int]
+
+
+def _chips(result: DemoResult) -> list[Chip]:
+    kinds = [("", "all", result.queries), *((name, name, count) for name, count in result.conditions.items())]
+    return [
+        Chip(name, label, count, {v: result.count(v, condition=name or None) for v in VERDICTS})
+        for name, label, count in kinds
+    ]
+
+
+class ReferenceMark(NamedTuple):
+    """Where a reference stands, in units, and to where it looks from there, where that is known."""
+
+    x: float
+    y: float
+    looks: tuple[float, float] | None
+
+
+class FoundMark(NamedTuple):
+    """Where a query was found, in units, and how sure that is."""
+
+    x: float
+    y: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class TownMark:
+    """A query on the map.
+
+    Attributes:
+        mark: Its outcome and its words.
+        x: Of the true position, in units from the left.
+        y: Of the true position, in units from the top.
+        found: Where it was thought to be; None where that is unknown.
+        data: Values that the page's script filters by.
+    """
+
+    mark: QueryMark
+    x: float
+    y: float
+    found: FoundMark | None
+    data: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class TownMap:
+    """What the map shows; lines and outlines are the data of SVG paths.
+
+    Attributes:
+        frame: Where things fall on it.
+        streets: Their middle lines.
+        houses: Their outlines.
+        references: The drive by day.
+        queries: The later photos.
+    """
+
+    frame: Frame
+    streets: Sequence[str]
+    houses: Sequence[str]
+    references: Sequence[ReferenceMark]
+    queries: Sequence[TownMark]
+    tints: int = TINTS
+
+
+def town_map(result: DemoResult) -> TownMap:
+    """The whole map; each query on it leads to its strip."""
+    town = result.town
+    found = (one.answer.place.where for one in result.judged if one.answer.place)
+    corners = [*chain.from_iterable(town.streets + town.blocks), *town.truth.values(), *found]
+    frame = Frame.around([_degrees(point) for point in corners])
+    references = []
+    for path in town.references:
+        photo = read_photo(path)
+        if photo.where is not None:
+            looks = None
+            if photo.heading is not None:
+                turn = math.radians(photo.heading)
+                looks = (15 * math.sin(turn), -15 * math.cos(turn))
+            references.append(ReferenceMark(*frame.at(_degrees(photo.where)), looks))
+    return TownMap(
+        frame,
+        streets=[frame.path(map(_degrees, street)) for street in town.streets],
+        houses=[frame.path(map(_degrees, block)) + "Z" for block in town.blocks],
+        references=references,
+        queries=[_town_mark(frame, number, one) for number, one in enumerate(result.judged, 1)],
+    )
+
+
+def _town_mark(frame: Frame, number: int, one: Judged) -> TownMark:
+    said = "unknown" if one.error_m is None else f"{one.verdict}, {told_metres(one.error_m)} off"
+    place = one.answer.place
+    return TownMark(
+        QueryMark(number, one.verdict, f"{one.answer.query.name}, {one.condition}: {said}"),
+        *frame.at(_degrees(one.truth)),
+        found=FoundMark(*frame.at(_degrees(place.where)), place.radius_m * frame.scale) if place else None,
+        data=_data(number, one),
+    )
+
+
+def _data(number: int, one: Judged) -> dict[str, object]:
+    """What the page's script knows of a query: it lights its mark and its strip together, and filters both."""
+    return {"data-n": number, "data-condition": one.condition, "data-verdict": one.verdict}
+
+
+def _degrees(point: GeoPoint) -> tuple[float, float]:
+    return point.lat, point.lon
+
+
+def _strip(number: int, one: Judged, thumbnails: Thumbnails) -> Strip:
+    """A query, what the model made of it, and its best references."""
+    query = one.answer.query
+    figures = [
+        Figure(
+            "query-photo",
+            thumbnails.of(query, query.name, side=QUERY_SIDE),
+            f"Query {query.name}, taken in this light: {one.condition}",
+            caption=(Words(f"taken at {coordinates(one.truth)}"),),
+        ),
+        *(_reference(one, match, thumbnails) for match in one.answer.matches[:BEST]),
+    ]
+    if len(figures) == 1:
+        figures.append(Figure("reference", None, "no references"))
+    place = one.answer.place
+    facts = [("Found", "unknown: the matches disagree, or score too low", "")]
+    if place is not None:
+        facts = [
+            ("Found", coordinates(place.where), f"± {told_metres(place.radius_m)}"),
+            ("Confidence", f"{place.confidence:.2f}", ""),
+            ("Support", f"{place.support} of {len(one.answer.matches)} matches", ""),
+        ]
+    return Strip(
+        number,
+        one.verdict,
+        "unknown" if one.error_m is None else f"{told_metres(one.error_m)} off",
+        query.name,
+        figures,
+        aside=one.condition,
+        facts=facts,
+        data=_data(number, one),
+    )
+
+
+def _reference(one: Judged, match: Match, thumbnails: Thumbnails) -> Figure:
+    off, name = one.off_by(match), match.photo.path.name
+    kind = "plain" if off is None else "right" if off <= WITHIN_M else "wrong"
+    away = "position unknown" if off is None else f"{told_metres(off)} away"
+    score = Words(f"{match.score:.2f}", "score", "how alike; 1 is the same picture")
+    return Figure(
+        f"reference {kind}",
+        thumbnails.of(match.photo.path, name, side=REFERENCE_SIDE),
+        f"Reference {name}, {away}, score {match.score:.2f}",
+        caption=(score, Words(away, "away")),
+    )
+
+
+def coordinates(point: GeoPoint) -> str:
+    """Degrees to about a metre, with their hemisphere."""
+    north, east = "NS"[point.lat < 0], "EW"[point.lon < 0]
+    return f"{abs(point.lat):.5f}° {north}, {abs(point.lon):.5f}° {east}"

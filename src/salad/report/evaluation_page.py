@@ -1,0 +1,140 @@
+"""The page of an evaluation: every figure with its interval, curves, where it was right and wrong, the mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from salad.errors import BenchmarkError
+from salad.evaluation.result import QueryResult, Result
+from salad.report.charts import charts
+from salad.report.map import MAPS, drive, position, region_map, regions
+from salad.report.mistakes import MistakeStrips, counts, sections
+from salad.report.page import render, several, write_page
+from salad.report.strips import Thumbnails
+
+if TYPE_CHECKING:
+    from salad.models.describer import Describes
+
+LISTED = 20
+"""Leaks and groups that are named."""
+
+
+def write_report(result: Result, page: Path, model: Describes | None = None) -> tuple[str, ...]:
+    """Write a result as a page; an older one is replaced whole or not at all.
+
+    Args:
+        result: What to show; its folders say where the photos are.
+        page: The file.
+        model: Draws what its dustbin took over the photos; without it, or without a dustbin, they stand alone.
+
+    Returns:
+        Sentences about photos that could not be shown.
+
+    Raises:
+        BenchmarkError: If the page cannot be written, or the result has no recall to show.
+    """
+    text, missing = draw_report(result, page, model)
+    write_page(page, text)
+    return missing
+
+
+def draw_report(result: Result, page: Path, model: Describes | None = None) -> tuple[str, tuple[str, ...]]:
+    """The page as text, and sentences about photos that could not be shown.
+
+    Args:
+        result: What to show.
+        page: Where it will stand, since its links to photos begin there.
+        model: As for `write_report`.
+
+    Raises:
+        BenchmarkError: If the result has no recall to show.
+    """
+    if not result.recall or not result.per_query:
+        raise BenchmarkError(
+            f"the result of {result.model} on {result.benchmark} has no recall to show: judge it anew"
+        )
+    shown = sections(result)
+    linked = {number for section in shown for number in section.numbers}
+
+    places = {n: where for n, one in enumerate(result.per_query) if (where := position(one.where))}
+    unplaced = [number for number in range(len(result.per_query)) if number not in places]
+    found = regions(places)
+    maps = [region_map(result, {n: places[n] for n in some}, linked) for some in found[:MAPS]]
+    marked = {*unplaced, *(n for some in found[:MAPS] for n in some)}
+
+    thumbnails = Thumbnails(model)
+    strips = MistakeStrips(result, page, thumbnails)
+    mistakes = [(one, [strips.strip(n, marked=n in marked) for n in one.numbers]) for one in shown]
+    missing = _missing(thumbnails)  # only now: the strips have opened the photos
+    text = render(
+        "evaluation.html.j2",
+        result=result,
+        notes=_notes(result, missing),
+        drawn_again=_drawn_again(result),
+        groups=_groups(result),
+        listed=LISTED,
+        tallies=counts(result.per_query),
+        maps=maps,
+        not_drawn=[len(some) for some in found[MAPS:]],
+        unplaced=drive(result, unplaced, linked) if unplaced else None,
+        charts=charts(result),
+        dustbin=thumbnails.dustbin,
+        mistakes=mistakes,
+    )
+    return text, missing
+
+
+def _missing(thumbnails: Thumbnails) -> tuple[str, ...]:
+    if not thumbnails.missing:
+        return ()
+    number = len(thumbnails.missing)
+    return (
+        f"{number} of {several(number + thumbnails.opened, 'photo')} to show cannot be opened where the result "
+        f"says, the first {thumbnails.missing[0]}: they were moved, or lie on another machine.",
+    )
+
+
+def _notes(result: Result, missing: tuple[str, ...]) -> list[str]:
+    """Sentences a reader of the figures should see, and the photos that are in both sides."""
+    notes = [*result.notes, *missing]
+    if result.leaks is not None:
+        notes.append(f"{several(len(result.leaks), 'photo is', 'photos are')} in both sides.")
+        notes += [
+            f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}."
+            for leak in result.leaks[:LISTED]
+        ]
+        if len(result.leaks) > LISTED:
+            notes.append(f"So are {len(result.leaks) - LISTED:,} more.")
+    return notes
+
+
+def _drawn_again(result: Result) -> str:
+    """How the intervals were made, in a sentence; empty where there are none."""
+    drawn = result.drawn
+    if not drawn:
+        return ""
+    together = {
+        "query": "each query by itself",
+        "group": "groups of queries together",
+        "block": "stretches of the drive together",
+    }.get(str(drawn.get("by")), "queries")
+    length = f" of {drawn.get('length')} frames" if drawn.get("by") == "block" else ""
+    return (
+        f"Queries were drawn again {drawn.get('times')} times, {together}: "
+        f"{drawn.get('units')} units{length}, seed {drawn.get('seed')}."
+    )
+
+
+def _groups(result: Result) -> list[tuple[str, int, float]]:
+    """Each group with its queries and R@1 in percent, the worst first; nothing where fewer than two are known."""
+    members: dict[str, list[QueryResult]] = {}
+    for one in result.per_query:
+        if one.group is not None and result.counts(one):
+            members.setdefault(one.group, []).append(one)
+    rows = [
+        (name, len(those), 100 * sum(one.hit(1) for one in those) / len(those))
+        for name, those in members.items()
+    ]
+    # Of groups equally bad the largest first: it weighs most in the figure above.
+    return sorted(rows, key=lambda row: (row[2], -row[1], row[0])) if len(rows) > 1 else []
