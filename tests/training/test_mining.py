@@ -118,10 +118,11 @@ def test_places_may_share_a_photo(tmp_path: Path, shelf: ImageCache) -> None:
     assert mine(MODEL, [one, two, twin], shelf, folder=tmp_path / "run", size=2) == [[0, 2]]
 
 
-def test_many_places_take_several_commits(
+def test_many_places_are_described_and_asked_for_some_at_a_time(
     tmp_path: Path, shelf: ImageCache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("salad.training.mining._AT_ONCE", 4)
+    monkeypatch.setattr("salad.training.mining._ASKED", 3 * MODEL.dim)
     planted = places(tmp_path / "data", [0, 1, 2, 3, 4, 0, 1, 2, 3, 4])
     cliques = mine(MODEL, planted, shelf, folder=tmp_path / "run", size=2)
     assert {frozenset(clique) for clique in cliques} == {frozenset((n, n + 5)) for n in range(5)}

@@ -13,18 +13,17 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float32
-
 from salad.datasets.neighbours import Neighbours
 from salad.datasets.training_place import TrainingPlace, View
-from salad.images.photo import Photo
-from salad.index.index import Index
+from salad.index.vectors import FileRows, append, storable
 from salad.models.describer import Describes
+from salad.search.base import SearcherFactory
+from salad.search.exact import ExactSearcher
 from salad.training.batches import ImageCache
 
-_AT_ONCE = 512  # photos read, described and committed together
+_AT_ONCE = 512  # photos read, described and written together
 _BATCH = 32  # of those, how many the model takes at a time
+_ASKED = 1 << 22  # numbers of places that are searched for together
 _SPARE = 32  # look-alikes asked for besides those a clique needs: many will be taken
 
 Likeness = list[dict[int, float]]
@@ -39,6 +38,7 @@ def mine(
     folder: Path,
     size: int,
     apart_m: float = 100,
+    searcher: SearcherFactory = ExactSearcher,
 ) -> list[list[int]]:
     """Cliques of places that look alike, the most alike first; each place is in one at most.
 
@@ -46,9 +46,10 @@ def mine(
         model: what they look alike to.
         places: what is searched; of each its middle photo.
         shelf: where photos come from, squeezed for the model.
-        folder: an index is made in it, of as many rows as there are places, and removed in the end.
+        folder: a file is made in it, of a descriptor for each place, and removed in the end.
         size: most places of a clique; some at the end are smaller.
         apart_m: no two places nearer than this are in one clique, where their positions are known.
+        searcher: what finds the look-alikes of a place.
 
     Returns:
         Numbers of places, two or more a clique; what is like no other that is left is in none.
@@ -62,44 +63,43 @@ def mine(
     k = 1 + max(map(len, shut), default=0) + 4 * size + _SPARE  # itself, those near, and enough besides
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="alike-", dir=folder) as made:
-        likeness = _likeness(model, places, shelf, Path(made) / "index", k=k)
+        rows = _described(model, places, shelf, Path(made) / "descriptors.f16")
+        likeness = _likeness(rows, searcher, k=k)
+        rows.close()
     for alike, others in zip(likeness, shut, strict=True):
         for other in others:
             alike.pop(other, None)
     return _cliques(likeness, near, size)
 
 
-def _likeness(
-    model: Describes, places: Sequence[TrainingPlace], shelf: ImageCache, folder: Path, *, k: int
-) -> Likeness:
-    """The `k` most alike of each place, by an exact search."""
-    likeness: Likeness = [{} for _ in places]
-    with Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name) as index:
-        for start in range(0, len(places), _AT_ONCE):
-            part = places[start : start + _AT_ONCE]
-            numbers = range(start, start + len(part))
-            photos = [Photo(folder / str(number)) for number in numbers]  # two places may share a file
-            contents = [f"{number:032x}" for number in numbers]
-            index.add(photos, _described(model, part, shelf), identities=contents)
-        for page in index.pages():
-            found = index.search(page.descriptors, k=k)
-            for photo, matches in zip(page.photos, found, strict=True):
-                others = {
-                    int(match.photo.path.name): match.score for match in matches if match.photo != photo
-                }
-                likeness[int(photo.path.name)] = others
+def _described(model: Describes, places: Sequence[TrainingPlace], shelf: ImageCache, path: Path) -> FileRows:
+    """Describe the middle photo of each place, into a file: descriptors of all may be more than memory holds."""
+    path.touch()
+    for start in range(0, len(places), _AT_ONCE):
+        part = places[start : start + _AT_ONCE]
+        views = [
+            View(place.photos[len(place.photos) // 2], label, mirrored=False, place=place)
+            for label, place in enumerate(part)
+        ]
+        pixels = shelf.photos(views).permute(0, 2, 3, 1).numpy()
+        found = model.describe(list(pixels), batch_size=_BATCH)
+        append(path, storable(found, len(part), model.dim), at=start)
+    return FileRows(path, rows=len(places), dim=model.dim)
+
+
+def _likeness(rows: FileRows, searcher: SearcherFactory, *, k: int) -> Likeness:
+    """The `k` most alike of each place, itself left out."""
+    likeness: Likeness = []
+    finds = searcher(rows)
+    for start, block in rows.blocks(numbers=_ASKED):
+        rows.keep()  # they are swept once for each block
+        hits = finds.search(block, k=k)
+        for place, (others, scores) in enumerate(
+            zip(hits.rows.tolist(), hits.scores.tolist(), strict=True), start
+        ):
+            found = zip(others, scores, strict=True)
+            likeness.append({other: score for other, score in found if other not in (place, -1)})
     return likeness
-
-
-def _described(
-    model: Describes, places: Sequence[TrainingPlace], shelf: ImageCache
-) -> Float32[np.ndarray, "places dim"]:
-    views = [
-        View(place.photos[len(place.photos) // 2], label, mirrored=False, place=place)
-        for label, place in enumerate(places)
-    ]
-    pixels = shelf.photos(views).permute(0, 2, 3, 1).numpy()
-    return model.describe(list(pixels), batch_size=_BATCH)
 
 
 def _cliques(likeness: Likeness, near: Neighbours, size: int) -> list[list[int]]:
