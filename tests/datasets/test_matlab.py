@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
+import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -44,11 +46,10 @@ def test_both_orders_packed_or_not(tmp_path: Path, fakes: ModuleType, order: str
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_as_scipy_writes_it(tmp_path: Path, packed: bool) -> None:
-    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
     cells = np.empty((3, 1), dtype=object)
     cells[:, 0] = TOLD["dbImageFns"]
     told = TOLD | {"dbImageFns": cells, "small": np.array([[1, 2]], dtype=np.uint8), "none": np.zeros((0, 0))}
-    scipy_io.savemat(tmp_path / "a.mat", {"other": 3, "dbStruct": told}, do_compression=packed)
+    scipy.io.savemat(tmp_path / "a.mat", {"other": 3, "dbStruct": told}, do_compression=packed)
     read = read_struct(tmp_path / "a.mat", "dbStruct")
     assert read.pop("small").tolist() == [[1.0, 2.0]]
     assert read.pop("none").size == 0
@@ -56,9 +57,8 @@ def test_as_scipy_writes_it(tmp_path: Path, packed: bool) -> None:
 
 
 def test_scipy_reads_our_fakes(tmp_path: Path, fakes: ModuleType) -> None:
-    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
     for order in "<>":
-        read = scipy_io.loadmat(io.BytesIO(fakes.mat_file(TOLD, order=order)))["dbStruct"].item()
+        read = scipy.io.loadmat(io.BytesIO(fakes.mat_file(TOLD, order=order)))["dbStruct"].item()
         assert read[0].item() == "test"
         assert [cell.item() for cell in read[1].ravel()] == TOLD["dbImageFns"]
         assert np.array_equal(read[2], TOLD["utmDb"])
@@ -99,10 +99,8 @@ def told(path: Path) -> str | None:
 
 
 def test_what_is_not_read_is_passed_over(tmp_path: Path) -> None:
-    scipy_io = pytest.importorskip("scipy.io", reason="scipy writes the files to compare with")
-    sparse = pytest.importorskip("scipy.sparse", reason="scipy writes the files to compare with")
-    told = {"a": 1.0, "odd": sparse.csc_matrix(np.eye(2)), "b": np.array([3], dtype=np.int16)}
-    scipy_io.savemat(tmp_path / "a.mat", {"dbStruct": told})
+    told = {"a": 1.0, "odd": scipy.sparse.csc_matrix(np.eye(2)), "b": np.array([3], dtype=np.int16)}
+    scipy.io.savemat(tmp_path / "a.mat", {"dbStruct": told})
     read = read_struct(tmp_path / "a.mat", "dbStruct")
     assert (read["odd"], read["b"].tolist()) == (None, [[3.0]])
 
