@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from salad.datasets.benchmark import Benchmark
-from salad.datasets.protocols import protocol_called, read, there
+from salad.datasets.protocols import LAYOUTS, layouts_in, protocol_called, read
 from salad.datasets.readers.base import Protocol
-from salad.datasets.readers.table import LAYOUTS
 from salad.errors import BenchmarkError
 
 CALLED = {  # what people call the folders, beside the stems of their files
@@ -55,7 +54,7 @@ def _candidates(asked: Protocol, data: Path) -> Sequence[Path]:
 
 
 def _may_hold(asked: Protocol, folder: Path) -> bool:
-    found = [layout.name for layout in there(asked, folder)]
+    found = [layout.name for layout in layouts_in(folder, asked)]
     return any(name not in ANYBODYS for name in found) or (bool(found) and _is_called(asked, folder))
 
 

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salad.datasets import neighbours
-from salad.datasets.neighbours import Coordinates, Neighbours, near_on_earth, near_on_map, squares
+from salad.datasets.coordinates import Coordinates
+from salad.datasets.neighbours import Neighbours, near_on_earth, near_on_map, squares
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres, metres_between, shifted, to_utm
 

@@ -13,10 +13,19 @@ from PIL import Image
 
 from salad.datasets import protocols
 from salad.datasets.benchmark import Benchmark, from_radius
+from salad.datasets.check_folder import check
 from salad.datasets.compact_lists import PhotoList, Strings, headings, positions
-from salad.datasets.protocols import PROTOCOLS, check, read
-from salad.datasets.readers.base import Every, Frames, Paired, Protocol, Radius, Sides, Told, right_by
-from salad.datasets.readers.table import LAYOUTS
+from salad.datasets.protocols import LAYOUTS, PROTOCOLS, read
+from salad.datasets.readers.base import (
+    EveryNth,
+    Frames,
+    OwnTable,
+    Protocol,
+    Radius,
+    SameName,
+    Sides,
+    right_by,
+)
 from salad.errors import BenchmarkError, PhotoError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo, PhotoTable
@@ -222,7 +231,8 @@ class TestOwn:
 class TestRules:
     def test_in_words(self) -> None:
         said = {
-            str(rule) for rule in (Radius(25), Frames(2), Every(10, 1), Every(1, 0), Paired(), Told("gt"))
+            str(rule)
+            for rule in (Radius(25), Frames(2), EveryNth(10, 1), EveryNth(1, 0), SameName(), OwnTable("gt"))
         }
         assert said == {
             "within 25 m (UTM)",

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salad.datasets.benchmark import Benchmark
+from salad.datasets.coordinates import zone_number
 from salad.datasets.folders import in_order, names_below
 from salad.datasets.protocols import read
 from salad.datasets.readers.at_names import read_side
-from salad.datasets.readers.utm_grid import zone_number
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between
 from salad.images.metadata import parse_at_name

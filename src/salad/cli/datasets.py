@@ -53,7 +53,7 @@ class Check:
 
     def run(self) -> int:
         """Check."""
-        from salad.datasets.protocols import check
+        from salad.datasets.check_folder import check
 
         findings = check(self.folder)
         if self.format == "json":
@@ -102,7 +102,7 @@ def _cells(row: dict[str, Any], shown: Iterable[str]) -> list[str]:
 
 
 def _nothing(folder: Path) -> str:
-    from salad.datasets.readers.table import LAYOUTS
+    from salad.datasets.protocols import LAYOUTS
 
     known = "; ".join(f"{layout.name} ({layout.what})" for layout in LAYOUTS.values())
     return f"{folder} is in no layout known here: {known}"

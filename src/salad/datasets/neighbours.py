@@ -13,14 +13,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from numpy.typing import NDArray
 
 from salad.datasets.compact_lists import Ragged
+from salad.datasets.coordinates import Coordinates
 from salad.errors import BenchmarkError
 from salad.geo import EARTH_RADIUS_M, GeoPoint, metres
 
@@ -30,24 +30,6 @@ if TYPE_CHECKING:
 _AT_ONCE = 1 << 21  # pairs measured at once: some 200 MB, most of it lists of Python's numbers
 _STRETCH = 1.02  # more than a UTM zone and the sphere stretch any distance
 _FAR = 1e149  # metres: the tree squares distances, and those of a damaged table's numbers must not overflow
-
-
-@dataclass(frozen=True, eq=False)
-class Coordinates:
-    """Where photos stand, on the map and on the earth, as far as each is known.
-
-    Attributes:
-        utm: `[N, 2]` metres east and north, as written.
-        zone: `[N]` the UTM zone they are counted in, negative south of the equator, 0 where nobody says.
-        lat_lon: `[N, 2]` latitudes and longitudes in degrees, NaN where unknown.
-    """
-
-    utm: Float64[np.ndarray, "n 2"]
-    zone: Int64[np.ndarray, " n"]
-    lat_lon: Float64[np.ndarray, "n 2"]
-
-    def __len__(self) -> int:
-        return len(self.utm)
 
 
 def near_on_earth(

@@ -1,24 +1,48 @@
 """Every published way to judge by its name, and a folder read by one of them or refused with what differs.
 
 A figure means nothing without its protocol: MSLS val exists with 740 and with 11,084 queries, Nordland with 1, 2 and 10
-frames of tolerance. `PROTOCOLS` is the table of them; `read` makes a benchmark of a folder, whatever layout it is in.
+frames of tolerance. `PROTOCOLS` is the table of them, with what each published figure was measured on; `LAYOUTS` is
+that of the layouts they are read from. `read` makes a benchmark of a folder, whatever layout it is in.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from salad.datasets.benchmark import Benchmark, from_frames, from_radius, from_truth
-from salad.datasets.folders import frame
-from salad.datasets.readers.base import Every, Frames, Layout, Paired, Protocol, Radius, Sides, Told, right_by
-from salad.datasets.readers.own_folders import TRUTH_TABLE, folders
-from salad.datasets.readers.table import LAYOUTS
+from salad.datasets.readers import at_names, dbstruct, gsv_cities, msls, npy_triple, npz, two_folders
+from salad.datasets.readers.base import (
+    EveryNth,
+    Frames,
+    Layout,
+    OwnTable,
+    Protocol,
+    Radius,
+    SameName,
+    Sides,
+    right_by,
+)
+from salad.datasets.readers.two_folders import TRUTH_TABLE, own_folders
 from salad.errors import BenchmarkError
 from salad.images.photo import PhotoTable
 
-# --- The table of protocols: what each published figure was measured on, and by which rule ---
-
+LAYOUTS: dict[str, Layout] = {
+    layout.name: layout
+    for layout in (
+        at_names.LAYOUT,
+        msls.LAYOUT,
+        dbstruct.LAYOUT,
+        npy_triple.LAYOUT,
+        npz.LAYOUT,
+        two_folders.DRIVES,
+        two_folders.PAIRS,
+        gsv_cities.LAYOUT,
+        two_folders.TRUTH,
+        two_folders.FOLDER,
+    )
+}
+"""The ways in which sets lie on disk, by name: a reader more is a file in `readers/` and a line here."""
 
 _NETVLAD = "the authors of NetVLAD on request (www.di.ens.fr/willow/research/netvlad)"
 _DOWNLOADER = "github.com/gmberton/VPR-datasets-downloader, which fetches and names it"
@@ -46,7 +70,7 @@ def _pittsburgh(name: str, stem: str, split: str, references: int, queries: int)
     )
 
 
-def _nordland(name: str, rule: Frames | Every, references: int, queries: int, *layouts: str) -> Protocol:
+def _nordland(name: str, rule: Frames | EveryNth, references: int, queries: int, *layouts: str) -> Protocol:
     get, licence = _NORDLAND
     return Protocol(
         name, rule, ("drives", *layouts), references, queries, stems=("nordland",), get=get, licence=licence
@@ -59,7 +83,7 @@ def _by_folder(name: str, *stems: str, sides: tuple[str, str] = ("database", "qu
     )
 
 
-def _own_rule(name: str, rule: Radius | Told, layout: str, get: str) -> Protocol:
+def _own_rule(name: str, rule: Radius | OwnTable, layout: str, get: str) -> Protocol:
     return Protocol(name, rule, (layout,), unanswerable="drop", get=get, licence="yours", yours=True)
 
 
@@ -93,12 +117,12 @@ PROTOCOLS: dict[str, Protocol] = {
         _pittsburgh("pitts30k-val", "pitts30k", "val", 10_000, 7_608),
         _pittsburgh("pitts30k-test", "pitts30k", "test", 10_000, 6_816),
         _pittsburgh("pitts250k-test", "pitts250k", "test", 83_952, 8_280),
-        _nordland("nordland-1f", Every(10, 1), 27_592, 2_760, "npy triple"),
+        _nordland("nordland-1f", EveryNth(10, 1), 27_592, 2_760, "npy triple"),
         _nordland("nordland-2f", Frames(2), 27_592, 3_450, "npy triple"),
         _nordland("nordland-10f", Frames(10), 27_592, 27_592, "@ names", "npz"),
         Protocol(
             "sped",
-            Every(1, 0),
+            EveryNth(1, 0),
             ("drives", "@ names", "npy triple"),
             607,
             607,
@@ -135,7 +159,7 @@ PROTOCOLS: dict[str, Protocol] = {
         _by_folder("st-lucia", "st_lucia", "st-lucia", "stlucia"),
         Protocol(
             "amstertime",
-            Paired(),
+            SameName(),
             ("pairs", "@ names"),
             stems=("amstertime",),
             get="4TU.ResearchData (data.4tu.nl, AmsterTime)",
@@ -149,7 +173,7 @@ PROTOCOLS: dict[str, Protocol] = {
         ),
         Protocol(
             "gsv-cities",
-            Told("its places"),
+            OwnTable("its places"),
             ("GSV-Cities",),
             stems=("gsv-cities", "gsv_cities"),
             get="github.com/amaralibey/gsv-cities",
@@ -157,9 +181,9 @@ PROTOCOLS: dict[str, Protocol] = {
         ),
         _own_rule("folder", Radius(25.0), "folder", "your own photos, with EXIF GPS, `@` names or a table"),
         _own_rule(
-            "frames", Told("the tolerance you give"), "folder", "your own two drives of numbered photos"
+            "frames", OwnTable("the tolerance you give"), "folder", "your own two drives of numbered photos"
         ),
-        _own_rule("truth", Told("gt.csv"), "gt.csv", "your own photos and a table query,positives"),
+        _own_rule("truth", OwnTable("gt.csv"), "gt.csv", "your own photos and a table query,positives"),
     )
 }
 
@@ -168,11 +192,18 @@ def protocol_called(name: str) -> Protocol:
     """The protocol of that name.
 
     Raises:
-        BenchmarkError: there is none.
+        BenchmarkError: If there is none.
     """
     if name not in PROTOCOLS:
         raise BenchmarkError(f"there is no protocol {name!r}: give one of {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
+
+
+_TAKEN = {  # which options of `read` say what is right in a user's own folders
+    "folder": ("queries", "metres", "heading", "table"),
+    "frames": ("queries", "tolerance"),
+    "truth": ("queries", "truth"),
+}
 
 
 def read(
@@ -191,67 +222,86 @@ def read(
     """Read an evaluation set by a protocol's name.
 
     Args:
-        protocol: a name of `PROTOCOLS`.
-        root: the set's folder; or, for a user's own set, the folder of references where `queries` is given.
-        queries: a user's own folder of queries; by default found beside the references by its name.
-        metres: the radius of `folder`, 25 by default.
-        tolerance: the tolerance of `frames`.
-        heading: for `folder`, within how many degrees a reference must look the same way.
-        table: for `folder`, positions of photos that carry none.
-        truth: for `truth`, the table `query,positives`; by default the folder's `gt.csv`.
-        layout: a name of `LAYOUTS` to read it by, where several are there.
-        any_size: take a set of other counts too, for trying things out; its protocol then says how many there are.
+        protocol: A name of `PROTOCOLS`.
+        root: The set's folder; or, for a user's own set, the folder of references where `queries` is given.
+        queries: A user's own folder of queries; by default found beside the references by its name.
+        metres: The radius of `folder`, 25 by default.
+        tolerance: The tolerance of `frames`, in frames.
+        heading: For `folder`, within how many degrees a reference must look the same way.
+        table: For `folder`, positions of photos that carry none.
+        truth: For `truth`, the table `query,positives`; by default the folder's `gt.csv`.
+        layout: A name of `LAYOUTS` to read it by, where several are there.
+        any_size: Take a set of other counts too, for trying things out; its protocol then says how many there are.
 
     Raises:
-        BenchmarkError: there is no such protocol, the set is not there, is damaged, or has other counts.
-        PhotoError: a user's own folder is missing or holds no photo.
+        BenchmarkError: If there is no such protocol, or the set is not there, is damaged, or has other counts.
+        PhotoError: If a user's own folder is missing or holds no photo.
     """
     asked = protocol_called(protocol)
-    options: dict[str, object] = {
-        "queries": queries,
-        "metres": metres,
-        "tolerance": tolerance,
-        "heading": heading,
-    }
-    options |= {"table": table, "truth": truth}
-    given = [name for name, value in options.items() if value is not None]
-    odd = [name for name in given if name not in _TAKEN.get(protocol, ())]
-    if odd:
-        raise BenchmarkError(
-            f"{protocol} fixes what is right by itself and takes no {odd[0]}: leave it away, or use the protocol "
-            "folder, frames or truth"
-        )
-    if asked.yours:
-        if layout is not None:
+    options = {"queries": queries, "metres": metres, "tolerance": tolerance, "heading": heading}
+    for option, value in {**options, "table": table, "truth": truth}.items():
+        if value is not None and option not in _TAKEN.get(protocol, ()):
             raise BenchmarkError(
-                f"{protocol} takes two folders as they are and no layout {layout}: leave it away"
+                f"{protocol} fixes what is right by itself and takes no {option}: leave it away, or use the protocol "
+                "folder, frames or truth"
             )
-        return _own(asked, root, queries, metres, tolerance, heading, table, truth)
-    taken = _layout(asked, root, layout)
-    sides = taken.read(root, asked)
-    made = benchmark_of(asked, sides, name=root.resolve().name)
+    if not asked.yours:
+        return _published(asked, root, layout, any_size=any_size)
+    if layout is not None:
+        raise BenchmarkError(
+            f"{protocol} takes two folders as they are and no layout {layout}: leave it away"
+        )
+    folders = (root, queries) if queries is not None else own_folders(root)
+    if folders is None:
+        raise _absent(asked, root)
+    if protocol == "folder":
+        return from_radius(*folders, 25.0 if metres is None else metres, table=table, heading=heading)
+    if protocol == "truth":
+        return from_truth(*folders, truth or root / TRUTH_TABLE)
+    if tolerance is None:
+        raise BenchmarkError(
+            "the protocol frames needs a tolerance: say how many frames apart is still right"
+        )
+    return from_frames(*folders, tolerance)
+
+
+def _published(asked: Protocol, root: Path, name: str | None, *, any_size: bool) -> Benchmark:
+    """A published set, by the layout of that name or the first that is there."""
+    if name is not None and name not in asked.layouts:
+        raise BenchmarkError(
+            f"{asked.name} is not read from the layout {name!r}: give one of {', '.join(asked.layouts)}"
+        )
+    layout = next((layout for layout in layouts_in(root, asked) if name in (None, layout.name)), None)
+    if layout is None:
+        raise _absent(asked, root)
+    made = benchmark_of(asked, layout.read(root, asked), name=root.resolve().name)
     differ = differences(asked, made)
     if not differ:
         return made
     if not any_size:
         raise BenchmarkError(
-            f"{root}, read as {taken.name}, is not {asked.name}: {'; '.join(differ)}. Complete the set, or "
+            f"{root}, read as {layout.name}, is not {asked.name}: {'; '.join(differ)}. Complete the set, or "
             "name another protocol"
         )
     counts = f"{len(made.references)} references, {made.counted} queries"
-    return benchmark_of(asked, sides, name=made.name, protocol=f"{asked.name} ({counts})")
+    return replace(made, protocol=f"{asked.name} ({counts})")
 
 
-def benchmark_of(asked: Protocol, sides: Sides, *, name: str, protocol: str | None = None) -> Benchmark:
+def layouts_in(root: Path, asked: Protocol) -> list[Layout]:
+    """The protocol's layouts that a folder is in."""
+    return [LAYOUTS[name] for name in asked.layouts if LAYOUTS[name].find(root, asked) is not None]
+
+
+def benchmark_of(asked: Protocol, sides: Sides, *, name: str) -> Benchmark:
     """The benchmark that a protocol makes of two sides, whatever their counts.
 
     Raises:
-        BenchmarkError: the sides do not hold what the rule needs, or do not fit together.
+        BenchmarkError: If the sides do not hold what the rule needs, or do not fit together.
     """
     told = (f"what is right is as {sides.told_by} says",) if sides.told_by else ()
     return Benchmark(
         name=name,
-        protocol=protocol or asked.name,
+        protocol=asked.name,
         references=sides.references,
         queries=sides.queries,
         positives=right_by(asked.rule, sides),
@@ -275,160 +325,9 @@ def differences(asked: Protocol, made: Benchmark) -> list[str]:
     ]
 
 
-def there(asked: Protocol, root: Path) -> list[Layout]:
-    """The protocol's layouts that a folder is in."""
-    return [LAYOUTS[name] for name in asked.layouts if LAYOUTS[name].find(root, asked) is not None]
-
-
-_TAKEN = {
-    "folder": ("queries", "metres", "heading", "table"),
-    "frames": ("queries", "tolerance"),
-    "truth": ("queries", "truth"),
-}
-
-
-def _layout(asked: Protocol, root: Path, name: str | None) -> Layout:
-    """The layout to read a folder by.
-
-    Raises:
-        BenchmarkError: it is in none that the protocol is read from, with what was looked for and where to get it.
-    """
-    if name is not None and name not in asked.layouts:
-        raise BenchmarkError(
-            f"{asked.name} is not read from the layout {name!r}: give one of {', '.join(asked.layouts)}"
-        )
-    found = [layout for layout in there(asked, root) if name in (None, layout.name)]
-    if not found:
-        raise BenchmarkError(_absent(asked, root))
-    return found[0]
-
-
-def _absent(asked: Protocol, root: Path) -> str:
+def _absent(asked: Protocol, root: Path) -> BenchmarkError:
     looked = [text for name in asked.layouts for text in LAYOUTS[name].looked_for(asked)]
-    return (
+    return BenchmarkError(
         f"{asked.name} is not in {root}{'' if root.is_dir() else ', which is no folder'}: looked for "
         f"{', or '.join(looked)}. Get it from {asked.get} ({asked.licence})"
     )
-
-
-def _own(
-    asked: Protocol,
-    root: Path,
-    queries: Path | None,
-    metres: float | None,
-    tolerance: int | None,
-    heading: float | None,
-    table: PhotoTable | None,
-    truth: Path | None,
-) -> Benchmark:
-    """A user's own two folders."""
-    found = (root, queries) if queries is not None else folders(root)
-    if found is None:
-        raise BenchmarkError(_absent(asked, root))
-    if asked.name == "frames":
-        if tolerance is None:
-            raise BenchmarkError(
-                "the protocol frames needs a tolerance: say how many frames apart is still right"
-            )
-        return from_frames(*found, tolerance)
-    if asked.name == "truth":
-        return from_truth(*found, truth or root / TRUTH_TABLE)
-    return from_radius(*found, 25.0 if metres is None else metres, table=table, heading=heading)
-
-
-# --- What a folder is: the layouts it is in, and the protocols that fit it or nearly do ---
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What one protocol finds in a folder by one layout.
-
-    Attributes:
-        protocol: its name.
-        layout: the layout's name.
-        references: how many there are; None where they cannot be read.
-        queries: how many there are.
-        unanswerable: how many of them have no right reference; None where that was not looked at.
-        fits: whether this is the protocol's set.
-        missing: what differs or is wrong, as sentences or parts of them; empty where it fits.
-    """
-
-    protocol: str
-    layout: str
-    references: int | None
-    queries: int | None
-    unanswerable: int | None
-    fits: bool
-    missing: tuple[str, ...] = ()
-
-
-def check(root: Path) -> list[Finding]:
-    """Look at a folder by every protocol; those that fit come first.
-
-    Raises:
-        BenchmarkError: there is no such folder.
-    """
-    if not root.is_dir():
-        raise BenchmarkError(f"there is no folder {root}: give the folder of a data set")
-    held: dict[tuple[object, ...], Sides | BenchmarkError] = {}
-    findings = [
-        _finding(root, protocol, layout, held)
-        for protocol in PROTOCOLS.values()
-        for layout in there(protocol, root)
-        if protocol.references is not None or protocol.yours or _called_so(root, protocol, layout)
-    ]
-    return sorted(findings, key=lambda finding: not finding.fits)
-
-
-def _called_so(root: Path, protocol: Protocol, layout: Layout) -> bool:
-    """Whether a set without counts is meant: by its folder's name, where its layout is anybody's."""
-    name = root.resolve().name.lower()
-    return layout.name != "@ names" or any(stem in name for stem in protocol.stems)
-
-
-def _finding(
-    root: Path, protocol: Protocol, layout: Layout, held: dict[tuple[object, ...], Sides | BenchmarkError]
-) -> Finding:
-    sides = _read(root, protocol, layout, held)
-    if isinstance(sides, BenchmarkError):
-        return Finding(protocol.name, layout.name, None, None, None, False, (str(sides),))
-    counts = len(sides.references), len(sides.queries)
-    if protocol.yours:
-        faults = _no_frames(sides) if protocol.name == "frames" else ()
-        return Finding(protocol.name, layout.name, *counts, None, not faults, faults)
-    if protocol.references is not None and abs(counts[0] - protocol.references) > protocol.about:
-        wanted = f"expected {protocol.references:,} references, found {counts[0]:,}"
-        return Finding(protocol.name, layout.name, *counts, None, False, (wanted,))
-    try:
-        made = benchmark_of(protocol, sides, name=root.name)
-    except BenchmarkError as error:
-        return Finding(protocol.name, layout.name, *counts, None, False, (str(error),))
-    differ = tuple(differences(protocol, made))
-    return Finding(protocol.name, layout.name, *counts, made.unanswerable, not differ, differ)
-
-
-def _no_frames(sides: Sides) -> tuple[str, ...]:
-    """What keeps a user's photos from being frames: a name without a number."""
-    try:
-        for photos in (sides.references, sides.queries):
-            for name in photos.names:
-                frame(name)
-    except BenchmarkError as error:
-        return (str(error),)
-    return ()
-
-
-def _read(
-    root: Path, protocol: Protocol, layout: Layout, held: dict[tuple[object, ...], Sides | BenchmarkError]
-) -> Sides | BenchmarkError:
-    """What a layout holds, read once for all protocols that find the same in it."""
-    found = layout.find(root, protocol)
-    key: tuple[object, ...] = (layout.name, found, protocol.sides)
-    if layout is not LAYOUTS["@ names"]:  # which read the same whoever asks
-        key += (protocol.subset, protocol.zone, protocol.rule)
-    if key not in held:
-        try:
-            held[key] = layout.read(root, protocol)
-        except BenchmarkError as error:
-            held[key] = error
-    return held[key]

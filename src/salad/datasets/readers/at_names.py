@@ -13,21 +13,22 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from salad.datasets.compact_lists import PhotoList
+from salad.datasets.coordinates import Coordinates, lat_lon_of, zone_number
 from salad.datasets.folders import names_below, sides_in
-from salad.datasets.neighbours import Coordinates
-from salad.datasets.readers.base import Layout, Protocol, Sides, spots_of
-from salad.datasets.readers.utm_grid import on_earth, zone_number
+from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
 
-_NUMBER = re.compile(r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?")
+_NUMBER = re.compile(
+    r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?"
+)  # float() would take 1e3, nan and digits of any script
 _SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
 _EAST, _NORTH, _ZONE, _LETTER, _LAT, _LON, _PANOID, _HEADING = 0, 1, 2, 3, 4, 5, 6, 8
+_FIELDS = 15
 
 
 def looked_for(protocol: Protocol) -> list[str]:
@@ -39,78 +40,68 @@ def looked_for(protocol: Protocol) -> list[str]:
 def find(root: Path, protocol: Protocol) -> Path | None:
     """The folder of references, where both are there and the first photo of it has an `@` name."""
     folders = _folders(root, protocol)
-    return folders[0] if folders and _looks_so(folders[0]) else None
+    return folders[0] if folders and _has_at_names(folders[0]) else None
 
 
 def read(root: Path, protocol: Protocol) -> Sides:
     """Both sides.
 
     Raises:
-        BenchmarkError: a folder cannot be read or is empty, or a photo's name has no easting and northing.
+        BenchmarkError: If a folder cannot be read or is empty, or a photo's name has no easting and northing.
     """
     folders = _folders(root, protocol)
     assert folders is not None
     (references, theirs, _), (queries, ours, panoramas) = (read_side(folder) for folder in folders)
-    return Sides(references, queries, spots=(ours, theirs), groups=panoramas if all(panoramas) else None)
+    return Sides(
+        references, queries, coordinates=(ours, theirs), groups=panoramas if all(panoramas) else None
+    )
 
 
 def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
     """A folder's photos, where they stand, and which panorama each is of (empty where it does not say).
 
     Raises:
-        BenchmarkError: as `read`.
+        BenchmarkError: As `read`.
     """
     names = names_below(folder)
-    count = len(names)
-    numbers = np.full((count, 5), math.nan)  # easting, northing, latitude, longitude, heading
-    zones = np.zeros(count, dtype=np.int64)
+    numbers = np.full((len(names), 5), math.nan)  # easting, northing, latitude, longitude, heading
+    zones = np.zeros(len(names), dtype=np.int64)
     panoramas: list[str] = []
     for row, name in enumerate(names):
-        fields = parts(name)
-        numbers[row] = [_number(fields[place]) for place in (_EAST, _NORTH, _LAT, _LON, _HEADING)]
+        fields = fields_of(name)
+        for column, place in enumerate((_EAST, _NORTH, _LAT, _LON, _HEADING)):
+            if _NUMBER.fullmatch(fields[place]):
+                numbers[row, column] = float(fields[place])
         zones[row] = zone_number(fields[_ZONE] + fields[_LETTER])
         panoramas.append(fields[_PANOID])
-    lost = np.flatnonzero(np.isnan(numbers[:, :2]).any(axis=1))
+    metres, degrees = numbers[:, :2].copy(), numbers[:, 2:4]
+    lost = np.flatnonzero(np.isnan(metres).any(axis=1))
     if lost.size:
         raise BenchmarkError(
-            f"{lost.size} of {count} photos of {folder} have no easting and northing in their names, the first "
+            f"{lost.size} of {len(names)} photos of {folder} have no easting and northing in their names, the first "
             f"{names[int(lost[0])]}: names must begin @easting@northing@zone@letter@"
         )
-    globe = _globe(numbers[:, :2], zones, numbers[:, 2:4])
-    photos = PhotoList(folder, names, where=globe, headings=numbers[:, 4] % 360)
-    return photos, spots_of(numbers[:, :2].copy(), zones, globe), tuple(panoramas)
+    # Easting and northing are written to the centimetre, degrees to a metre: these stand in only where those fail.
+    lat_lon = lat_lon_of(metres, zones)
+    by_degrees = np.isnan(lat_lon[:, 0]) & (np.abs(degrees) <= (90, 180)).all(axis=1)
+    lat_lon[by_degrees] = degrees[by_degrees]
+    photos = PhotoList(folder, names, where=lat_lon, headings=numbers[:, 4] % 360)
+    return photos, Coordinates(metres, zones, lat_lon), tuple(panoramas)
 
 
-def parts(name: str) -> list[str]:
+def fields_of(name: str) -> list[str]:
     """The fields of a file's name, empty ones where it has none; of a path only the last part is read."""
     fields = _SUFFIX.sub("", name.rpartition("/")[2]).split("@")
-    told = fields[1:] if len(fields) > 2 and not fields[0] else []
-    return told + [""] * (15 - len(told))
-
-
-def _globe(
-    grid: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    zones: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
-    degrees: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """By easting and northing, which are written to the centimetre; by latitude and longitude where these fail."""
-    globe = on_earth(grid, zones)
-    there = (np.abs(degrees) <= (90, 180)).all(axis=1)
-    fallen = np.isnan(globe[:, 0]) & there
-    globe[fallen] = degrees[fallen]
-    return globe
-
-
-def _number(text: str) -> float:
-    return float(text) if _NUMBER.fullmatch(text) else math.nan
+    given = fields[1:] if len(fields) > 2 and not fields[0] else []
+    return given + [""] * (_FIELDS - len(given))
 
 
 def _folders(root: Path, protocol: Protocol) -> tuple[Path, Path] | None:
-    inside: Sequence[str] = (f"images/{protocol.split}", f"processed/{protocol.split}", protocol.split, "")
+    inside = (f"images/{protocol.split}", f"processed/{protocol.split}", protocol.split, "")
     return sides_in(root, protocol.sides, inside=inside)
 
 
-def _looks_so(folder: Path) -> bool:
+def _has_at_names(folder: Path) -> bool:
     """Whether a photo of a folder has an `@` name, folders in it gone into; of millions, some are looked at."""
     for _ in range(4):
         with os.scandir(folder) as entries:

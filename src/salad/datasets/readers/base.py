@@ -1,21 +1,51 @@
-"""What a protocol is: which set, how many photos, what is right, and what becomes of queries without an answer."""
+"""What a reader is: a layout on disk, and the two sides of a set that it gives; and what a protocol says is right.
+
+A protocol names a rule and the layouts it is read from. A layout's reader says where photos stand, or what their files
+call right, and knows nothing of rules; a rule looks at these two sides and nothing else. So any protocol can be read
+from any layout that holds what its rule needs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from salad.datasets.benchmark import Unanswerable
 from salad.datasets.compact_lists import PhotoList, Ragged
+from salad.datasets.coordinates import Coordinates
 from salad.datasets.folders import frame
-from salad.datasets.neighbours import Coordinates, near_on_map
+from salad.datasets.neighbours import near_on_map
 from salad.errors import BenchmarkError
 
-# --- what is right -------------------------------------------------------------------------
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """What a layout holds.
+
+    Attributes:
+        references: Photos whose places are known.
+        queries: Photos to recognise.
+        coordinates: Where the queries and the references stand, in this order, where the layout says.
+        positives: What the layout itself says is right.
+        groups: For each query the drive, place or panorama it belongs to.
+        told_by: The file that says what is right, where `positives` are given.
+        notes: Sentences a reader of the figures should see.
+    """
+
+    references: PhotoList
+    queries: PhotoList
+    coordinates: tuple[Coordinates, Coordinates] | None = None
+    positives: Ragged | None = None
+    groups: tuple[str, ...] | None = None
+    told_by: str = ""
+    notes: tuple[str, ...] = ()
+
+
+# Rules. Each says in words what is right, and finds it: None where the sides do not hold what it needs.
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +57,10 @@ class Radius:
     def __str__(self) -> str:
         return f"within {self.metres:g} m (UTM)"
 
+    def positives(self, sides: Sides) -> Ragged | None:
+        """By where photos stand."""
+        return near_on_map(*sides.coordinates, self.metres) if sides.coordinates else None
+
 
 @dataclass(frozen=True, slots=True)
 class Frames:
@@ -37,9 +71,27 @@ class Frames:
     def __str__(self) -> str:
         return f"within {self.tolerance} frames, by the numbers in the names"
 
+    def positives(self, sides: Sides) -> Ragged:
+        """By the numbers in the names, which must be frames of one count on both sides.
+
+        Raises:
+            BenchmarkError: If the queries are numbered by themselves, or a number is too large to be a frame's.
+        """
+        ours, theirs = (_frames(photos) for photos in (sides.queries, sides.references))
+        # Nordland's queries are every eighth frame, and some copies number them anew from 0: that would read as
+        # frames, and be wrong in silence.
+        consecutive = len(ours) < len(theirs) and np.array_equal(ours, np.arange(len(ours)) + ours[0])
+        if consecutive and len(theirs) == len(np.unique(theirs)) and ours[0] <= 1:
+            raise BenchmarkError(
+                f"the queries of {sides.queries.folder} are numbered {ours[0]} to {ours[-1]} without a gap, so their "
+                f"names do not say which of {len(theirs)} frames each is: give names with the frame, or the set's "
+                "_gt.npy"
+            )
+        return _within_frames(ours, theirs, self.tolerance)
+
 
 @dataclass(frozen=True, slots=True)
-class Every:
+class EveryNth:
     """Query i, counted in order, is reference `step * i`; right is what is at most `tolerance` from it."""
 
     step: int
@@ -50,17 +102,30 @@ class Every:
             return "the same index"
         return f"query i, references {self.step}i ± {self.tolerance}"
 
+    def positives(self, sides: Sides) -> Ragged:
+        """By the order of the photos."""
+        ours = self.step * np.arange(len(sides.queries), dtype=np.int64)
+        return _within_frames(ours, np.arange(len(sides.references), dtype=np.int64), self.tolerance)
+
 
 @dataclass(frozen=True, slots=True)
-class Paired:
+class SameName:
     """The reference whose name, its suffix left aside, is the query's."""
 
     def __str__(self) -> str:
         return "the pair of one name"
 
+    def positives(self, sides: Sides) -> Ragged:
+        """By the names."""
+        theirs: dict[str, list[int]] = {}
+        for row, name in enumerate(sides.references.names):
+            theirs.setdefault(PurePosixPath(name).stem, []).append(row)
+        ours = (theirs.get(PurePosixPath(name).stem, []) for name in sides.queries.names)
+        return Ragged.of(np.array(rows, dtype=np.int64) for rows in ours)
+
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class OwnTable:
     """What the set's own table says."""
 
     what: str = "its own table"
@@ -68,10 +133,42 @@ class Told:
     def __str__(self) -> str:
         return f"by {self.what}"
 
+    def positives(self, _: Sides) -> None:
+        """Nothing: a layout that has the table says itself what is right."""
 
-Rule = Radius | Frames | Every | Paired | Told
 
-# --- a protocol, and what a layout holds ----------------------------------------------------
+Rule = Radius | Frames | EveryNth | SameName | OwnTable
+
+
+def right_by(rule: Rule, sides: Sides) -> Ragged:
+    """For each query the rows of the right references: as the layout itself says, else by the rule.
+
+    Raises:
+        BenchmarkError: If the layout does not hold what the rule needs.
+    """
+    positives = rule.positives(sides) if sides.positives is None else sides.positives
+    if positives is None:
+        raise BenchmarkError(
+            f"{sides.references.folder} does not say what is right ({rule}): take another layout of it"
+        )
+    return positives
+
+
+def _frames(photos: PhotoList) -> Int64[np.ndarray, " n"]:
+    """The frame in each photo's name; int64 has no room for longer numbers, such as times in nanoseconds and more."""
+    numbers = [frame(name) for name in photos.names]
+    longest = max(numbers, default=0)
+    if longest >= 1 << 60:
+        raise BenchmarkError(f"{longest} is no frame's number: rename the photos")
+    return np.array(numbers, dtype=np.int64)
+
+
+def _within_frames(ours: Int64[np.ndarray, " q"], theirs: Int64[np.ndarray, " r"], tolerance: int) -> Ragged:
+    """For each query the rows of the references whose frame is at most `tolerance` from its own."""
+    order = np.argsort(theirs, kind="stable")
+    starts = np.searchsorted(theirs[order], ours - tolerance, side="left")
+    stops = np.searchsorted(theirs[order], ours + tolerance, side="right")
+    return Ragged.of(np.sort(order[start:stop]) for start, stop in zip(starts, stops, strict=True))
 
 
 @dataclass(frozen=True)
@@ -79,21 +176,21 @@ class Protocol:
     """A named way to judge.
 
     Attributes:
-        name: what stands beside every figure.
-        rule: what is right.
-        layouts: the names of the layouts it is read from, the first that is there.
-        references: how many references there are; None where the set has no one size.
-        queries: how many queries count, likewise.
-        about: by how many references a folder may differ, where only a round number is published.
-        unanswerable: whether queries without a right reference are left out or count as misses.
-        stems: what its files are called: `<stem>.mat`, `<stem>_gt.npy`, and what its folder may be called.
-        split: the folder of the exchange format: `images/<split>/`.
-        sides: what the folders of references and queries are called in the exchange format.
-        subset: the column of MSLS' `subtask_index.csv` that says which queries count, where not all do.
-        zone: the UTM zone its positions are counted in, where its files do not say it, such as `17T`.
-        get: where to get the set.
-        licence: what its photos may be used for, in a few words.
-        yours: whether its folders are a user's own, so that `salad evaluate` takes its rule from options.
+        name: What stands beside every figure.
+        rule: What is right.
+        layouts: The names of the layouts it is read from, the first that is there.
+        references: How many references there are; None where the set has no one size.
+        queries: How many queries count, likewise.
+        about: By how many references a folder may differ, where only a round number is published.
+        unanswerable: Whether queries without a right reference are left out or count as misses.
+        stems: What its files are called: `<stem>.mat`, `<stem>_gt.npy`, and what its folder may be called.
+        split: The folder of the exchange format: `images/<split>/`.
+        sides: What the folders of references and queries are called in the exchange format.
+        subset: The column of MSLS' `subtask_index.csv` that says which queries count, where not all do.
+        zone: The UTM zone its positions are counted in, where its files do not say it, such as `17T`.
+        get: Where to get the set.
+        licence: What its photos may be used for, in a few words.
+        yours: Whether its folders are a user's own, so that `salad evaluate` takes its rule from options.
     """
 
     name: str
@@ -113,39 +210,17 @@ class Protocol:
     yours: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Sides:
-    """What a layout holds.
-
-    Attributes:
-        references: photos whose places are known.
-        queries: photos to recognise.
-        spots: where the queries and the references stand, in this order, where the layout says.
-        positives: what the layout itself says is right.
-        groups: for each query the drive, place or panorama it belongs to.
-        told_by: the file that says what is right, where `positives` are given.
-        notes: sentences a reader of the figures should see.
-    """
-
-    references: PhotoList
-    queries: PhotoList
-    spots: tuple[Coordinates, Coordinates] | None = None
-    positives: Ragged | None = None
-    groups: tuple[str, ...] | None = None
-    told_by: str = ""
-    notes: tuple[str, ...] = field(default=())
-
-
 @dataclass(frozen=True)
 class Layout:
     """A way in which sets lie on disk.
 
     Attributes:
-        name: what it is called.
-        what: what it looks like, in a few words.
-        looked_for: what is looked for, as texts for a sentence.
-        find: what of it is there, or None; a look at few names, which opens nothing.
-        read: what it holds; only called where `find` found something.
+        name: What it is called.
+        what: What it looks like, in a few words.
+        looked_for: What is looked for, as texts for a sentence.
+        find: What of it is there, or None; a look at few names, which opens nothing.
+        read: What it holds; only called where `find` found something. Raises a BenchmarkError where files cannot be
+            read, are damaged, or do not fit together.
     """
 
     name: str
@@ -153,78 +228,3 @@ class Layout:
     looked_for: Callable[[Protocol], Sequence[str]]
     find: Callable[[Path, Protocol], Path | None]
     read: Callable[[Path, Protocol], Sides]
-
-
-# --- applying a rule -----------------------------------------------------------------------
-
-
-def right_by(rule: Rule, sides: Sides) -> Ragged:
-    """For each query the rows of the right references.
-
-    Raises:
-        BenchmarkError: the layout does not hold what the rule needs.
-    """
-    if sides.positives is not None:
-        return sides.positives
-    if isinstance(rule, Radius) and sides.spots is not None:
-        return near_on_map(*sides.spots, rule.metres)
-    if isinstance(rule, Frames):
-        return _frames(rule, sides)
-    if isinstance(rule, Every):
-        at = rule.step * np.arange(len(sides.queries), dtype=np.int64)
-        return _window(at, np.arange(len(sides.references), dtype=np.int64), rule.tolerance)
-    if isinstance(rule, Paired):
-        return _pairs(sides)
-    raise BenchmarkError(
-        f"{sides.references.folder} does not say what is right ({rule}): take another layout of it"
-    )
-
-
-def _frames(rule: Frames, sides: Sides) -> Ragged:
-    """By the numbers in the names, which must be frames of one count on both sides."""
-    ours, theirs = (
-        np.array([_small(frame(name)) for name in photos.names], dtype=np.int64)
-        for photos in (sides.queries, sides.references)
-    )
-    consecutive = len(ours) < len(theirs) and np.array_equal(ours, np.arange(len(ours)) + ours[0])
-    if consecutive and len(theirs) == len(np.unique(theirs)) and ours[0] <= 1:
-        raise BenchmarkError(
-            f"the queries of {sides.queries.folder} are numbered {ours[0]} to {ours[-1]} without a gap, so their names "
-            f"do not say which of {len(theirs)} frames each is: give names with the frame, or the set's _gt.npy"
-        )
-    return _window(ours, theirs, rule.tolerance)
-
-
-def _small(number: int) -> int:
-    if number >= 1 << 60:
-        raise BenchmarkError(f"{number} is no frame's number: rename the photos")
-    return number
-
-
-def _window(ours: Int64[np.ndarray, " q"], theirs: Int64[np.ndarray, " r"], tolerance: int) -> Ragged:
-    """References at most `tolerance` from each query, by whole numbers."""
-    order = np.argsort(theirs, kind="stable")
-    starts = np.searchsorted(theirs[order], ours - tolerance, side="left")
-    stops = np.searchsorted(theirs[order], ours + tolerance, side="right")
-    return Ragged.of(np.sort(order[start:stop]) for start, stop in zip(starts, stops, strict=True))
-
-
-def _pairs(sides: Sides) -> Ragged:
-    theirs: dict[str, list[int]] = {}
-    for row, name in enumerate(sides.references.names):
-        theirs.setdefault(PurePosixPath(name).stem, []).append(row)
-    ours = (theirs.get(PurePosixPath(name).stem, []) for name in sides.queries.names)
-    return Ragged.of(np.array(rows, dtype=np.int64) for rows in ours)
-
-
-def spots_of(
-    grid: Float64[np.ndarray, "n 2"],
-    zone: Int64[np.ndarray, " n"] | None = None,
-    globe: Float64[np.ndarray, "n 2"] | None = None,
-) -> Coordinates:
-    """Places on the map, of no zone and nowhere on earth unless that is given."""
-    return Coordinates(
-        grid,
-        np.zeros(len(grid), dtype=np.int64) if zone is None else zone,
-        np.full((len(grid), 2), np.nan) if globe is None else globe,
-    )

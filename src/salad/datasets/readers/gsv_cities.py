@@ -1,6 +1,12 @@
-"""GSV-Cities as an evaluation set: of each place the newest photo is a query, the others are its references.
+"""GSV-Cities: a table a city, its photos beside it, some 530,000 of them in 62,000 places.
 
-Only the tables and one listing of each city's folder are read.
+    Dataframes/<City>.csv    place_id,year,month,northdeg,city_id,lat,lon,panoid
+    Images/<City>/           <city_id>_<place_id>_<year>_<month>_<northdeg>_<lat>_<lon>_<panoid>.jpg
+
+Training takes all photos of its places. As an evaluation set the newest photo of each place is a query and the others
+are its references. Only the tables and one listing of each city's folder are read; no photo is opened or looked at.
+
+Source: Ali-bey et al., "GSV-Cities: Toward appropriate supervised visual place recognition", Neurocomputing 2022.
 """
 
 from __future__ import annotations
@@ -18,16 +24,6 @@ from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.datasets.training_place import FEWEST, Listing, Say, TrainingPlace, tell_missing
 from salad.errors import BenchmarkError, PositionError
 from salad.geo import GeoPoint, centre
-
-# --- GSV-Cities on disk: a table a city, its photos beside it, some 530,000 of them in 62,000 places ---
-#
-# Dataframes/<City>.csv    place_id,year,month,northdeg,city_id,lat,lon,panoid
-# Images/<City>/           <city_id>_<place_id>_<year>_<month>_<northdeg>_<lat>_<lon>_<panoid>.jpg
-#
-# Only the tables and one listing of each city's folder are read; no photo is opened or looked at.
-#
-# Source: Ali-bey et al., "GSV-Cities: Toward appropriate supervised visual place recognition", Neurocomputing 2022.
-
 
 TABLES, PHOTOS = "Dataframes", "Images"
 

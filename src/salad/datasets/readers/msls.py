@@ -20,13 +20,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from salad.datasets.compact_lists import PhotoList
-from salad.datasets.neighbours import Coordinates
-from salad.datasets.readers.base import Layout, Protocol, Sides, spots_of
-from salad.datasets.readers.utm_grid import on_earth
+from salad.datasets.coordinates import Coordinates, lat_lon_of
+from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
-
-# --- Columns out of a CSV table, each cell still a text; every fault names the table and its line ---
-
 
 _TRUTHS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False, "": False}
 
@@ -98,7 +94,7 @@ class _Part:
     """The photos of one side of one city that count."""
 
     names: list[str]
-    grid: Float64[np.ndarray, "n 2"]
+    metres: Float64[np.ndarray, "n 2"]
     degrees: Float64[np.ndarray, "n 2"]
     sequences: list[str]
     panoramas: int
@@ -134,11 +130,11 @@ def read(root: Path, protocol: Protocol) -> Sides:
     )
     zones = [_zone(part.degrees) for part in theirs]
     panoramas = sum(part.panoramas for part in (*theirs, *ours))
-    (references, their_spots), (queries, our_spots) = (_side(base, parts, zones) for parts in (theirs, ours))
+    (references, their_place), (queries, our_place) = (_side(base, parts, zones) for parts in (theirs, ours))
     return Sides(
         references,
         queries,
-        spots=(our_spots, their_spots),
+        coordinates=(our_place, their_place),
         groups=tuple(name for part in ours for name in part.sequences),
         notes=(f"{panoramas} panoramas were left out",) if panoramas else (),
     )
@@ -161,11 +157,11 @@ def _part(base: Path, side: str, subset: str) -> _Part:
     panoramas = truths(raw, "pano", seen["pano"])
     counts = ~panoramas & _subset(tasks, subset, len(panoramas))
     rows = np.flatnonzero(counts)
-    grid = np.stack([numbers(placed, name, told[name]) for name in ("easting", "northing")], axis=1)
+    metres = np.stack([numbers(placed, name, told[name]) for name in ("easting", "northing")], axis=1)
     degrees = np.stack([numbers(raw, name, seen[name]) for name in ("lat", "lon")], axis=1)
     return _Part(
         [f"{side}/images/{told['key'][row]}.jpg" for row in rows],
-        grid[rows],
+        metres[rows],
         degrees[rows],
         [f"{side.split('/')[0]}/{drives['sequence_key'][row]}" for row in rows],
         int(panoramas.sum()),
@@ -192,15 +188,15 @@ def _zone(degrees: Float64[np.ndarray, "n 2"]) -> int:
 
 def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, Coordinates]:
     names = [name for part in parts for name in part.names]
-    grid = np.concatenate([part.grid for part in parts])
+    metres = np.concatenate([part.metres for part in parts])
     zone: Int64[np.ndarray, " n"] = np.repeat(
         np.array(zones, dtype=np.int64), [len(part.names) for part in parts]
     )
-    globe = on_earth(grid, zone)
-    lost = np.isnan(globe[:, 0])
-    raw = np.concatenate([part.degrees for part in parts])
-    globe[lost] = np.clip(raw[lost], (-90, -180), (90, 180))
-    return PhotoList(base, names, where=globe), spots_of(grid, zone, globe)
+    lat_lon = lat_lon_of(metres, zone)
+    off_grid = np.isnan(lat_lon[:, 0])
+    degrees = np.concatenate([part.degrees for part in parts])
+    lat_lon[off_grid] = np.clip(degrees[off_grid], (-90, -180), (90, 180))
+    return PhotoList(base, names, where=lat_lon), Coordinates(metres, zone, lat_lon)
 
 
 LAYOUT = Layout("MSLS tables", "train_val/<city>/{query,database}/ with four tables", looked_for, find, read)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from salad.datasets.compact_lists import Ragged
 from salad.datasets.readers.base import Layout, Protocol, Sides
-from salad.datasets.readers.dbstruct import panoramas
-from salad.datasets.readers.photo_lists import file_of, photos_at
+from salad.datasets.readers.listed_photos import file_of, panoramas, photos_at
 from salad.datasets.safe_numpy import read_npy
 from salad.errors import BenchmarkError
 
@@ -37,7 +36,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
     """Both sides and what is right.
 
     Raises:
-        BenchmarkError: an array is missing, damaged or does not fit, or the photos are not where they may be.
+        BenchmarkError: If an array is missing, damaged or does not fit, or the photos are not where they may be.
     """
     path = find(root, protocol)
     assert path is not None
@@ -48,14 +47,19 @@ def read(root: Path, protocol: Protocol) -> Sides:
     counted = file_of(path.parent, [f"{stem}_qIdx.npy"])
     if counted is not None:
         positives = _spread(positives, counted, len(ours))
-    _check(truth, positives, len(ours), len(theirs))
-    homes = [
-        root,
-        path.parent,
-        root / "images",
-        path.parent.parent,
-        *(root / stem for stem in protocol.stems),
-    ]
+    if len(positives) != len(ours):
+        raise BenchmarkError(
+            f"{truth} says what is right for {len(positives)} queries, but there are {len(ours)}: fetch the files of "
+            "one set"
+        )
+    for row, right in enumerate(positives):
+        if right.size and not (right.min() >= 0 and right.max() < len(theirs)):
+            raise BenchmarkError(
+                f"{truth} calls a reference right for query {row} that is not among {len(theirs)}: fetch the files of "
+                "one set"
+            )
+    homes = [root, path.parent, root / "images", path.parent.parent]
+    homes += [root / stem for stem in protocol.stems]
     return Sides(
         photos_at(theirs, [*homes, *(home / "ref" for home in homes)], listed_in=path),
         photos_at(ours, [*homes, *(home / "query" for home in homes)], listed_in=path),
@@ -78,8 +82,8 @@ def _spread(positives: list[NDArray[np.int64]], counted: Path, queries: int) -> 
     """Positives for all queries, where the file holds those of the ones that count: nothing for the others."""
     found = read_npy(counted).rows()
     rows = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-    sound = rows.size == np.unique(rows).size and ((rows >= 0) & (rows < queries)).all()
-    if rows.size != len(positives) or not sound:
+    once = rows.size == np.unique(rows).size and ((rows >= 0) & (rows < queries)).all()
+    if rows.size != len(positives) or not once:
         raise BenchmarkError(
             f"{counted} should name {len(positives)} of {queries} queries, each once: fetch the files of one set"
         )
@@ -87,20 +91,6 @@ def _spread(positives: list[NDArray[np.int64]], counted: Path, queries: int) -> 
     for row, right in zip(rows.tolist(), positives, strict=True):
         spread[row] = right
     return spread
-
-
-def _check(truth: Path, positives: list[NDArray[np.int64]], queries: int, references: int) -> None:
-    if len(positives) != queries:
-        raise BenchmarkError(
-            f"{truth} says what is right for {len(positives)} queries, but there are {queries}: fetch the files of one "
-            "set"
-        )
-    for row, right in enumerate(positives):
-        if right.size and not (right.min() >= 0 and right.max() < references):
-            raise BenchmarkError(
-                f"{truth} calls a reference right for query {row} that is not among {references}: fetch the files of "
-                "one set"
-            )
 
 
 LAYOUT = Layout("npy triple", "<set>_dbImages.npy, <set>_qImages.npy, <set>_gt.npy", looked_for, find, read)

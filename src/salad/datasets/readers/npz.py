@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from salad.datasets.coordinates import Coordinates
 from salad.datasets.neighbours import near_on_map
 from salad.datasets.readers.base import Layout, Protocol, Radius, Sides
-from salad.datasets.readers.dbstruct import panoramas
-from salad.datasets.readers.photo_lists import file_of, photos_at
-from salad.datasets.readers.utm_grid import spots_in
+from salad.datasets.readers.listed_photos import file_of, panoramas, photos_at
 from salad.datasets.safe_numpy import Arrays, read_npz
 from salad.errors import BenchmarkError
 
@@ -37,7 +36,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
     """Both sides and what is right.
 
     Raises:
-        BenchmarkError: a file is missing, damaged or does not fit, or the photos are not where they may be.
+        BenchmarkError: If a file is missing, damaged or does not fit, or the photos are not where they may be.
     """
     path = find(root, protocol)
     assert path is not None
@@ -46,19 +45,22 @@ def read(root: Path, protocol: Protocol) -> Sides:
     if missing:
         raise BenchmarkError(f"{path} holds no {missing[0]}: take the file that the data set comes with")
     theirs, ours = _lists(root, path, protocol, arrays)
-    their_spots = spots_in(_metres(path, arrays["utmDb"], len(theirs)), protocol.zone)
-    our_spots = spots_in(_metres(path, arrays["utmQ"], len(ours)), protocol.zone)
-    distance = _distance(path, arrays["posDistThr"], protocol)
+    their_places = Coordinates.in_zone(_metres(path, arrays["utmDb"], len(theirs)), protocol.zone)
+    our_places = Coordinates.in_zone(_metres(path, arrays["utmQ"], len(ours)), protocol.zone)
+    # Within which distance these files count a reference as right stands in them, and must be the protocol's.
+    radius = arrays["posDistThr"].numbers().ravel()
+    wanted = protocol.rule.metres if isinstance(protocol.rule, Radius) else None
+    if radius.size != 1 or not 0 < radius[0] < 1e6 or (wanted is not None and radius[0] != wanted):
+        raise BenchmarkError(
+            f"{path} calls {radius.tolist()[:3]} m right, but {protocol.name} means {protocol.rule}: take the file of "
+            "that protocol"
+        )
     homes = [root, root / "images", path.parent, root.parent, *(root / stem for stem in protocol.stems)]
+    below = [*homes, *(home / "queries_real" for home in homes)]
     return Sides(
-        photos_at(theirs, homes, listed_in=path, where=their_spots.lat_lon),
-        photos_at(
-            ours,
-            [*homes, *(home / "queries_real" for home in homes)],
-            listed_in=path,
-            where=our_spots.lat_lon,
-        ),
-        positives=near_on_map(our_spots, their_spots, distance),
+        photos_at(theirs, homes, listed_in=path, where=their_places.lat_lon),
+        photos_at(ours, below, listed_in=path, where=our_places.lat_lon),
+        positives=near_on_map(our_places, their_places, float(radius[0])),
         groups=panoramas(ours),
         told_by=path.name,
     )
@@ -100,17 +102,6 @@ def _metres(path: Path, given: Arrays, count: int) -> Float64[np.ndarray, "n 2"]
             f"{path} should hold metres for {count} photos, but has {metres.shape}: fetch both again"
         )
     return np.ascontiguousarray(metres)
-
-
-def _distance(path: Path, given: Arrays, protocol: Protocol) -> float:
-    metres = given.numbers().ravel()
-    wanted = protocol.rule.metres if isinstance(protocol.rule, Radius) else None
-    if metres.size != 1 or not 0 < metres[0] < 1e6 or (wanted is not None and metres[0] != wanted):
-        raise BenchmarkError(
-            f"{path} calls {metres.tolist()[:3]} m right, but {protocol.name} means {protocol.rule}: take the file of "
-            "that protocol"
-        )
-    return float(metres[0])
 
 
 LAYOUT = Layout(

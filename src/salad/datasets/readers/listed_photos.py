@@ -1,9 +1,10 @@
-"""Where the photos of a list lie: a list names them below a folder that it does not name."""
+"""Photos of a list, which names them below a folder that it does not name: where the list is, where its photos are."""
 
 from __future__ import annotations
 
 import itertools
 import os
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -13,8 +14,9 @@ from jaxtyping import Float64
 from salad.datasets.compact_lists import PhotoList
 from salad.errors import BenchmarkError
 
-_SOME = 10_000
-_OTHERS = (".jpg", ".png", ".jpeg", ".JPG")
+_SOME = 10_000  # entries of a folder below that are looked at: photos may be millions, and lists lie in small folders
+_SUFFIXES = (".jpg", ".png", ".jpeg", ".JPG")
+_VIEW = re.compile(r"_pitch[0-9]+_yaw[0-9]+\.\w+$")
 
 
 def photos_at(
@@ -29,13 +31,13 @@ def photos_at(
     A list may name `.jpg` where the photos are `.png`, as Tokyo 24/7's does. Only the first photo is looked at.
 
     Args:
-        names: paths below a folder, as the list writes them.
-        tried: folders it may be.
-        listed_in: the list, for sentences.
-        where: what the list says of positions.
+        names: Paths below a folder, as the list writes them.
+        tried: Folders it may be.
+        listed_in: The list, for sentences.
+        where: `[N, 2]` latitudes and longitudes in degrees, NaN where unknown.
 
     Raises:
-        BenchmarkError: the list is empty, or no folder holds its first photo.
+        BenchmarkError: If the list is empty, or no folder holds its first photo.
     """
     plain = [name.strip().replace("\\", "/").removeprefix("./") for name in names]
     broken = next((name for name in plain if not name or "\0" in name), None)
@@ -46,7 +48,7 @@ def photos_at(
     folders = list(dict.fromkeys(tried))
     suffix = PurePosixPath(plain[0]).suffix
     for folder in folders:
-        for other in (suffix, *_OTHERS):
+        for other in (suffix, *_SUFFIXES):
             first = plain[0].removesuffix(suffix) + other
             if (folder / first).is_file():
                 swapped = plain if other == suffix else [name.removesuffix(suffix) + other for name in plain]
@@ -57,22 +59,25 @@ def photos_at(
     )
 
 
-def file_of(root: Path, wanted: Iterable[str]) -> Path | None:
-    """The first file so called, big letters or small, in a folder or in one right below it.
+def panoramas(names: Sequence[str]) -> tuple[str, ...] | None:
+    """The panorama that each photo was cut from, where every name says so: its views are one place."""
+    whole = tuple(_VIEW.sub("", name) for name in names)
+    return whole if all(len(cut) < len(name) for cut, name in zip(whole, names, strict=True)) else None
 
-    Of a folder below, only some entries are looked at: it may hold millions of photos, and lists lie in small ones.
-    """
+
+def file_of(root: Path, wanted: Iterable[str]) -> Path | None:
+    """The first file so called, big letters or small, in a folder or in one right below it."""
     names = {name.lower() for name in wanted}
-    entries = _entries(root, None)
-    below = [Path(entry.path) for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
-    found = (entry for folder in below for entry in _entries(folder, _SOME))
-    for entry in itertools.chain(entries, found):
+    entries = _entries(root)
+    folders = (entry for entry in entries if not entry.name.startswith(".") and entry.is_dir())
+    below = (entry for folder in folders for entry in _entries(Path(folder.path), _SOME))
+    for entry in itertools.chain(entries, below):
         if entry.name.lower() in names and entry.is_file():
             return Path(entry.path)
     return None
 
 
-def _entries(folder: Path, most: int | None) -> list[os.DirEntry[str]]:
+def _entries(folder: Path, most: int | None = None) -> list[os.DirEntry[str]]:
     """What a folder holds, in order of names; nothing where it cannot be read."""
     try:
         with os.scandir(folder) as entries:
