@@ -21,7 +21,7 @@ from aggregator import machine
 
 import salad
 from salad.demo.town.town import draw_town
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import decode
 
 SEED, ROUNDS = 7, 5
 
@@ -48,10 +48,10 @@ def main() -> None:
         for turn in range(ROUNDS + 1):
             for model in models:
                 size = model.preprocessing
-                pixels = [squeeze(open_rgb(path), size.height, size.width, size.resample) for path in paths]
+                pixels = [decode(path, size.height, size.width, size.resample) for path in paths]
                 for what, run in (
                     ("decode and squeeze", lambda size=size: [
-                        squeeze(open_rgb(path), size.height, size.width, size.resample) for path in paths
+                        decode(path, size.height, size.width, size.resample) for path in paths
                     ]),
                     ("describe", lambda model=model, pixels=pixels: model.describe(pixels)),
                     ("describe one by one", lambda model=model, pixels=pixels: model.describe(pixels, batch_size=1)),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import decode, squeeze
 from salad.network.config import Preprocessing
 
 
@@ -49,9 +49,11 @@ class Hog:
 
     def _one(self, photo: str | Path | Image.Image | NDArray[np.uint8]) -> NDArray[np.float32]:
         if isinstance(photo, str | Path):
-            photo = open_rgb(Path(photo))
-        image = Image.fromarray(photo) if isinstance(photo, np.ndarray) else photo
-        grey = squeeze(image, self.side, self.side) @ np.array([0.299, 0.587, 0.114])
+            seen = decode(Path(photo), self.side, self.side)
+        else:
+            image = Image.fromarray(photo) if isinstance(photo, np.ndarray) else photo
+            seen = squeeze(image, self.side, self.side)
+        grey = seen @ np.array([0.299, 0.587, 0.114])
         return _normalised_blocks(self._cells(grey))
 
     def _cells(self, grey: NDArray[np.float64]) -> NDArray[np.float64]:

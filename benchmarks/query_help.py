@@ -44,7 +44,9 @@ def query_help(model: Describer, here: Question, far: Question) -> None:
     """Print what each help does out of fold for the held-out queries, strangers and all."""
 
     def again(shown: Shown, change: Change) -> Shown:
-        other = model.describe([change(open_rgb(photo.path)) for photo in shown.photos], batch_size=32)
+        size = (model.preprocessing.height, model.preprocessing.width)
+        photos = (open_rgb(photo.path, at_least=size) for photo in shown.photos)  # decoded as for the model
+        other = model.describe([change(photo) for photo in photos], batch_size=32)
         return Shown(shown.photos, unit(shown.rows + other))
 
     ways = {

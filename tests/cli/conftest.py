@@ -17,7 +17,7 @@ from PIL import Image
 
 from salad.cli.main import run
 from salad.geo import GeoPoint, shifted
-from salad.images.decode import save_jpeg
+from salad.images.metadata import save_jpeg
 from salad.models.fake import FakeDescriber
 
 HOME = GeoPoint(48.1, 11.5)

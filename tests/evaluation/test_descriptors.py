@@ -18,6 +18,7 @@ from salad.errors import BenchmarkError
 from salad.evaluation import descriptors
 from salad.evaluation.descriptors import Cache, Described
 from salad.evaluation.evaluate import evaluate
+from salad.images.decode import DECODER
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber
 
@@ -67,7 +68,7 @@ def test_files_are_safetensors_and_nothing_else_is_left(drive: Benchmark, tmp_pa
     model = FakeDescriber(dim=5)
     Cache(tmp_path / "cache", Described(model, batch_size=4)).sides(drive.references, drive.queries)
     (path,) = (tmp_path / "cache").rglob("*.*")
-    assert path.parent.name == model.fingerprint
+    assert path.parent.name == f"{model.fingerprint}-decoder{DECODER}"
     held = load_file(path)
     assert held["contents"].shape == (10, 16)
     paths = [photo.path for photo in (*drive.references, *drive.queries) if photo.path.name != "5.png"]
@@ -141,6 +142,16 @@ def test_what_was_described_before_an_end_stays(
     evaluate(drive, again, cache=tmp_path / "cache")
     assert len(again.seen) <= 3
     assert not list((tmp_path / "cache").rglob(".*"))
+
+
+def test_what_another_decoder_gave_is_not_found_again(drive: Benchmark, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    evaluate(drive, Counting(), cache=cache)
+    (here,) = cache.iterdir()
+    here.rename(cache / FakeDescriber().fingerprint)  # where descriptors lay before decoders were numbered
+    anew = Counting()
+    evaluate(drive, anew, cache=cache)
+    assert len(anew.seen) == 10
 
 
 def test_a_cache_that_cannot_be(drive: Benchmark, tmp_path: Path) -> None:

@@ -16,8 +16,7 @@ from PIL.ExifTags import GPS, IFD, Base
 
 from salad.errors import PhotoError
 from salad.geo import GeoPoint, metres_between
-from salad.images.decode import save_jpeg
-from salad.images.metadata import copy_with_position, with_position
+from salad.images.metadata import copy_with_position, save_jpeg, with_position
 from salad.images.photo import read_photo
 
 points = st.builds(GeoPoint, st.floats(-90, 90), st.floats(-180, 180))

@@ -19,7 +19,8 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from salad.errors import PhotoError
 from salad.geo import GeoPoint, metres_between
 from salad.images import decode
-from salad.images.decode import open_rgb, read_exif, save_jpeg
+from salad.images.decode import open_rgb
+from salad.images.metadata import read_exif, save_jpeg
 from salad.images.photo import find_photos, read_photo
 
 COLOURS = (np.indices((48, 64)).sum(axis=0)[:, :, None] * [1, 2, 0] % 256).astype(np.uint8)
@@ -271,7 +272,7 @@ def test_want_of_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     def short(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("salad.images.decode.upright", short)
+    monkeypatch.setattr("salad.images.decode.to_rgb", short)
     assert "more memory than there is" in refused(tmp_path / "a.png", encoded("PNG"))
 
 

@@ -13,8 +13,8 @@ from PIL import Image
 
 from salad.errors import PhotoError
 from salad.geo import GeoPoint, metres_between, shifted
-from salad.images.decode import open_rgb, save_jpeg
-from salad.images.metadata import at_name
+from salad.images.decode import open_rgb
+from salad.images.metadata import at_name, save_jpeg
 from salad.images.photo import Photo, PhotoTable, content_hash, find_photos, read_photo
 
 HERE = GeoPoint(37.7126, -122.4855)

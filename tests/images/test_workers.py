@@ -20,7 +20,7 @@ import pytest
 from salad.errors import PhotoError
 from salad.geo import GeoPoint
 from salad.images import workers
-from salad.images.decode import save_jpeg
+from salad.images.metadata import save_jpeg
 from salad.images.photo import content_hash, read_photo
 from salad.images.workers import Helpers
 

@@ -6,6 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from PIL import Image
 
 from salad.datasets.training_place import TrainingPlace, View
 from salad.errors import BenchmarkError, PhotoError
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import Pixels, decode
 from salad.network.config import Preprocessing
 from salad.training import batches as shelves
 from salad.training.batches import ImageCache
@@ -50,11 +51,11 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Counter[Path]:
     """How often each photo was opened."""
     opened: Counter[Path] = Counter()
 
-    def count(path: Path) -> Image.Image:
+    def count(path: Path, *size: Any) -> Pixels:
         opened[path] += 1
-        return open_rgb(path)
+        return decode(path, *size)
 
-    monkeypatch.setattr(shelves, "open_rgb", count)
+    monkeypatch.setattr(shelves, "decode", count)
     return opened
 
 
@@ -74,8 +75,7 @@ def test_a_batch_is_its_photos_in_order(tmp_path: Path, shelf: ImageCache) -> No
     ]
     assert shelf.broken == {}
     assert shelf.news() == ""
-    expected = squeeze(open_rgb(one.photos[0]), 4, 6, "bilinear")
-    np.testing.assert_array_equal(shelf.array(one.photos[0]), expected)
+    np.testing.assert_array_equal(shelf.array(one.photos[0]), decode(one.photos[0], 4, 6, "bilinear"))
 
 
 def test_a_photo_is_read_once(tmp_path: Path, shelf: ImageCache, read: Counter[Path]) -> None:
@@ -105,11 +105,11 @@ def test_what_is_expected_is_read_meanwhile(tmp_path: Path, monkeypatch: pytest.
     shown = place(tmp_path, "a", [10, 20])
     begun = threading.Event()
 
-    def tell(path: Path) -> Image.Image:
+    def tell(path: Path, *size: Any) -> Pixels:
         begun.set()
-        return open_rgb(path)
+        return decode(path, *size)
 
-    monkeypatch.setattr(shelves, "open_rgb", tell)
+    monkeypatch.setattr(shelves, "decode", tell)
     with ImageCache(SIZE) as shelf:
         shelf.expect(views(shown, 1))
         assert begun.wait(60)

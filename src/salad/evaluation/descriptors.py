@@ -1,6 +1,6 @@
 """Descriptors kept between evaluations, by the model's fingerprint and each photo's content.
 
-    DIR/<fingerprint>/<digest>.safetensors      contents [N, 16] bytes, descriptors [N, dim] float32
+    DIR/<fingerprint>-decoder<version>/<digest>.safetensors      contents [N, 16] bytes, descriptors [N, dim] float32
 
 A file is written whole or not at all, named after the contents in it and never changed; so an evaluation that is
 cut short keeps all but its last block, and several may share a folder. They are float32: a figure from the cache is
@@ -23,6 +23,7 @@ from jaxtyping import Float32, Int64
 
 from salad.errors import BenchmarkError, ModelError, PhotoError
 from salad.files import write_whole
+from salad.images.decode import DECODER
 from salad.images.photo import Photo, content_hash
 from salad.search.base import ArrayRows, Block, Numbers, Rows
 
@@ -111,7 +112,9 @@ class Cache:
 
     def __init__(self, folder: Path, described: Described) -> None:
         self._described, self._dim = described, described.model.dim
-        self._folder = folder / described.model.fingerprint
+        self._folder = (
+            folder / f"{described.model.fingerprint}-decoder{DECODER}"
+        )  # of another decoder: not found
         self._files: list[_File] = []
         self._places: dict[bytes, Place] = {}
         try:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from salad.errors import BenchmarkError, PhotoError
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import decode
 from salad.images.photo import Photo, content_hash
 
 SIDE = 32  # the thumbnails' side in pixels
@@ -132,6 +132,6 @@ def thumbnail(path: Path) -> Float64[np.ndarray, "side side"]:
     Raises:
         PhotoError: it cannot be read.
     """
-    small = squeeze(open_rgb(path, at_least=(SIDE, SIDE)), SIDE, SIDE, "box")
+    small = decode(path, SIDE, SIDE, "box")
     grey: Float64[np.ndarray, "side side"] = small.astype(np.float64).mean(axis=2)
     return grey

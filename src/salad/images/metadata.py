@@ -5,17 +5,20 @@ Whatever is malformed counts as not said: a photo with a broken tag is a photo w
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import re
 import struct
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from datetime import datetime, timedelta
-from pathlib import Path, PurePath
-from typing import Any
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
 from PIL.TiffImagePlugin import IFDRational
@@ -23,12 +26,14 @@ from PIL.TiffImagePlugin import IFDRational
 from salad.errors import PhotoError, PositionError
 from salad.files import write_whole
 from salad.geo import GeoPoint, Utm, from_utm, to_utm
+from salad.images.decode import open_image, quiet_pillow, to_rgb
 
-_NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,15})?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?")
 _SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
 _EXIF_TIME = "%Y:%m:%d %H:%M:%S"
 _STAMP = "YYYYMMDD_hhmmss"
-_MICROSECONDS_OF_ARC = 3_600_000_000  # in a degree; one is 30 micrometres on the ground
+_MICROARCSECONDS = 3_600_000_000  # in a degree; one is 30 micrometres on the ground
+_BLANK = [""] * 14  # fields that a short `@` name leaves away
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,31 +58,81 @@ class Position:
 # --- `@` names -----------------------------------------------------------------------------
 
 
+class AtName(NamedTuple):
+    """The fields of an `@` name that say something, as they stand there; NaN where a number is none.
+
+    Attributes:
+        easting: Metres on the UTM grid.
+        northing: Metres on the UTM grid.
+        zone: Of the grid, 1 to 60, as a text.
+        letter: The zone's band.
+        lat: Degrees.
+        lon: Degrees.
+        panoid: The panorama that the photo was cut from.
+        heading: Degrees.
+        timestamp: Any left part of `YYYYMMDD_hhmmss`.
+    """
+
+    easting: float
+    northing: float
+    zone: str
+    letter: str
+    lat: float
+    lon: float
+    panoid: str
+    heading: float
+    timestamp: str
+
+
+def split_at_name(name: str) -> AtName | None:
+    """The fields of an `@` name, or None for any other name; two microseconds, since sets have millions of names.
+
+    Between `@` stand easting, northing, zone, letter, lat, lon, panoid, tile, heading, pitch, roll, height,
+    timestamp and note, then a suffix. Only easting and northing must be there.
+
+    Args:
+        name: A file's name; of a path only the last part is read.
+    """
+    parts = _SUFFIX.sub("", os.path.basename(name)).split("@")  # noqa: PTH119  # a Path takes as long as all the rest
+    if len(parts) < 3 or parts[0]:
+        return None
+    _, easting, northing, zone, letter, lat, lon, panoid, _, heading, _, _, _, stamp, *_ = (*parts, *_BLANK)
+    fields = AtName(
+        _number(easting),
+        _number(northing),
+        zone,
+        letter,
+        _number(lat),
+        _number(lon),
+        panoid,
+        _number(heading),
+        stamp,
+    )
+    return None if math.isnan(fields.easting) or math.isnan(fields.northing) else fields
+
+
 def parse_at_name(name: str) -> Position | None:
     """What an `@` name says, or None for any other name.
 
-    Between `@` stand easting, northing, zone, letter, lat, lon, panoid, tile, heading, pitch, roll, height,
-    timestamp and note, then a suffix. Only easting and northing must be there. The point is read from the UTM
-    fields, which are written to the centimetre and by which data sets say what counts as right; from lat and
-    lon where zone or letter are missing or make no sense; and is None where those are missing too.
+    The point is read from the UTM fields, which are written to the centimetre and by which data sets say what
+    counts as right; from lat and lon where zone or letter are missing or make no sense; and is None where those
+    are missing too.
 
     Args:
-        name: a file's name; of a path only the last part is read.
+        name: A file's name; of a path only the last part is read.
     """
-    parts = _SUFFIX.sub("", PurePath(name).name).split("@")
-    if len(parts) < 3 or parts[0]:
+    fields = split_at_name(name)
+    if fields is None:
         return None
-    fields = parts[1:] + [""] * 15
-    easting, northing, zone, letter, lat, lon = fields[:6]
-    east, north = _number(easting), _number(northing)
-    if east is None or north is None:
-        return None
-    heading = _number(fields[8])
-    return Position(
-        _on_grid(east, north, zone, letter) or _in_degrees(lat, lon),
-        None if heading is None else heading % 360,
-        _parse_stamp(fields[12]),
-    )
+    where = None
+    if re.fullmatch(r"[0-9]{1,2}", fields.zone) and re.fullmatch(r"[A-Za-z]", fields.letter):
+        with suppress(PositionError):
+            where = from_utm(Utm(fields.easting, fields.northing, int(fields.zone), fields.letter.upper()))
+    if where is None:
+        with suppress(PositionError):
+            where = GeoPoint(fields.lat, fields.lon)
+    heading = None if math.isnan(fields.heading) else fields.heading % 360
+    return Position(where, heading, _parse_stamp(fields.timestamp))
 
 
 def at_name(
@@ -92,7 +147,7 @@ def at_name(
     """The `@` name of a photo, to the centimetre, the whole degree and the second; a time zone is not kept.
 
     Raises:
-        PositionError: where UTM has no coordinate for `where`, or a text holds `@` or a slash.
+        PositionError: If UTM has no coordinate for `where`, or a text holds `@` or a slash.
     """
     for text in (panoid, note, suffix):
         if re.search(r"[@/\\\0]", text):
@@ -110,25 +165,8 @@ def _clock(time: datetime, between: str) -> str:
     return time.replace(tzinfo=None).isoformat(between, "seconds")
 
 
-def _number(text: str) -> float | None:
-    return float(text) if _NUMBER.fullmatch(text) else None
-
-
-def _on_grid(easting: float, northing: float, zone: str, letter: str) -> GeoPoint | None:
-    if not re.fullmatch(r"\d{1,2}", zone, re.ASCII) or not re.fullmatch(r"[A-Za-z]", letter):
-        return None
-    with suppress(PositionError):
-        return from_utm(Utm(easting, northing, int(zone), letter.upper()))
-    return None
-
-
-def _in_degrees(lat: str, lon: str) -> GeoPoint | None:
-    north, east = _number(lat), _number(lon)
-    if north is None or east is None:
-        return None
-    with suppress(PositionError):
-        return GeoPoint(north, east)
-    return None
+def _number(text: str) -> float:
+    return float(text) if _NUMBER.fullmatch(text) else math.nan
 
 
 def _parse_stamp(text: str) -> datetime | None:
@@ -146,6 +184,53 @@ def _parse_stamp(text: str) -> datetime | None:
 # --- EXIF ----------------------------------------------------------------------------------
 
 
+def read_exif(path: Path, *, file: IO[bytes] | None = None) -> Position:
+    """What a photo's EXIF says; nothing where the file is broken, as `decode` will say in a sentence.
+
+    Args:
+        path: The file.
+        file: The same file where it is open already, or held in memory; read from its beginning.
+    """
+    with suppress(Exception), path.open("rb") if file is None else nullcontext(file) as source:
+        image = open_image(path, source)
+        with quiet_pillow():
+            # Image's own getexif, because PNG's would decode the pixels in search of more
+            return from_exif(Image.Image.getexif(image))
+    return Position()
+
+
+def save_jpeg(
+    image: Image.Image | NDArray[np.uint8],
+    path: str | Path,
+    *,
+    where: GeoPoint | None = None,
+    heading: float | None = None,
+    time: datetime | None = None,
+    quality: int = 90,
+) -> None:
+    """Write a photo as JPEG with its position, heading (to 0.01 degree) and time (to the second) as EXIF.
+
+    Args:
+        image: A photo, or uint8 `[H, W, 3]`.
+        path: The file; it is replaced whole or not at all.
+        where: Written to a millionth of a second of arc, 0.03 mm.
+        heading: Degrees clockwise from north.
+        time: Its time zone is written where it has one.
+        quality: 1 to 95.
+
+    Raises:
+        PhotoError: If the file cannot be written.
+    """
+    path = Path(path)
+    rgb = to_rgb(image if isinstance(image, Image.Image) else Image.fromarray(image))
+    buffer = io.BytesIO()
+    try:
+        rgb.save(buffer, "JPEG", quality=quality, exif=to_exif(Position(where, heading, time)))
+        write_whole(path, buffer.getvalue())
+    except OSError as error:
+        raise PhotoError(f"{path} cannot be written ({error}): check the folder and the size") from error
+
+
 def from_exif(exif: Image.Exif) -> Position:
     """What EXIF says: GPS latitude and longitude, image direction, original time and offset. Never raises.
 
@@ -158,7 +243,9 @@ def from_exif(exif: Image.Exif) -> Position:
     if lat is not None and lon is not None:
         with suppress(PositionError):
             where = GeoPoint(lat, lon)
-    return Position(where, _direction(gps.get(GPS.GPSImgDirection)), _exif_time(shot))
+    turned = _floats(gps.get(GPS.GPSImgDirection))
+    heading = turned[0] % 360 if len(turned) == 1 and 0 <= turned[0] <= 360 else None
+    return Position(where, heading, _exif_time(shot))
 
 
 def to_exif(position: Position) -> Image.Exif:
@@ -166,11 +253,12 @@ def to_exif(position: Position) -> Image.Exif:
     exif = Image.Exif()
     gps: dict[int, Any] = {}
     if position.where is not None:
+        lat, lon = position.where.lat, position.where.lon
         gps[GPS.GPSVersionID] = b"\x02\x03\x00\x00"
-        gps[GPS.GPSLatitudeRef] = "S" if position.where.lat < 0 else "N"
-        gps[GPS.GPSLatitude] = _degrees_minutes_seconds(position.where.lat)
-        gps[GPS.GPSLongitudeRef] = "W" if position.where.lon < 0 else "E"
-        gps[GPS.GPSLongitude] = _degrees_minutes_seconds(position.where.lon)
+        gps[GPS.GPSLatitudeRef] = "S" if lat < 0 else "N"
+        gps[GPS.GPSLatitude] = tuple(IFDRational(*fraction) for fraction in _degrees_minutes_seconds(lat))
+        gps[GPS.GPSLongitudeRef] = "W" if lon < 0 else "E"
+        gps[GPS.GPSLongitude] = tuple(IFDRational(*fraction) for fraction in _degrees_minutes_seconds(lon))
     if position.heading is not None:
         gps[GPS.GPSImgDirectionRef] = "T"
         gps[GPS.GPSImgDirection] = IFDRational(round(position.heading % 360 * 100) % 36_000, 100)
@@ -178,9 +266,10 @@ def to_exif(position: Position) -> Image.Exif:
         exif[IFD.GPSInfo] = gps
     if position.time is not None:
         shot = {int(Base.DateTimeOriginal): _clock(position.time, " ").replace("-", ":")}
-        offset = position.time.utcoffset()
-        if offset is not None:
-            shot[int(Base.OffsetTimeOriginal)] = _offset(offset)
+        if (offset := position.time.utcoffset()) is not None:
+            minutes = round(offset.total_seconds() / 60)
+            sign = "-" if minutes < 0 else "+"
+            shot[int(Base.OffsetTimeOriginal)] = f"{sign}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"
         exif[IFD.Exif] = shot
     return exif
 
@@ -213,11 +302,6 @@ def _angle(value: Any, reference: object, signs: str) -> float | None:
     return -degrees if letter == signs[1] else degrees
 
 
-def _direction(value: Any) -> float | None:
-    numbers = _floats(value)
-    return numbers[0] % 360 if len(numbers) == 1 and 0 <= numbers[0] <= 360 else None
-
-
 def _exif_time(shot: dict[int, Any]) -> datetime | None:
     text, offset = (
         str(shot.get(tag, "")).strip(" \0") for tag in (Base.DateTimeOriginal, Base.OffsetTimeOriginal)
@@ -228,18 +312,14 @@ def _exif_time(shot: dict[int, Any]) -> datetime | None:
     return None
 
 
-def _degrees_minutes_seconds(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
-    whole, rest = divmod(round(abs(degrees) * _MICROSECONDS_OF_ARC), _MICROSECONDS_OF_ARC)
-    minutes, micro = divmod(rest, 60_000_000)
-    return IFDRational(whole), IFDRational(minutes), IFDRational(micro, 1_000_000)
+def _degrees_minutes_seconds(degrees: float) -> list[tuple[int, int]]:
+    """As EXIF writes an angle: three fractions, the seconds in millionths; its sign is a letter elsewhere."""
+    whole, rest = divmod(round(abs(degrees) * _MICROARCSECONDS), _MICROARCSECONDS)
+    minutes, micro = divmod(rest, _MICROARCSECONDS // 60)
+    return [(whole, 1), (minutes, 1), (micro, 1_000_000)]
 
 
-def _offset(offset: timedelta) -> str:
-    minutes = round(offset.total_seconds() / 60)
-    return f"{'-' if minutes < 0 else '+'}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"
-
-
-# --- A copy of a JPEG with another position in its EXIF, and nothing else changed ---
+# --- a copy of a JPEG with another position ------------------------------------------------
 #
 # Pixels are copied byte by byte, never decoded. What the EXIF held stays where it stood, so that thumbnails and
 # makers' notes, which name their own whereabouts, stay right: the new tables of tags are added at its end, and
@@ -250,7 +330,6 @@ _EXIF = b"Exif\0\0"
 _EMPTY = b"II*\0\x08\0\0\0" + bytes(6)  # a TIFF of one table without a tag
 _LONGEST = 0xFFFF - 2 - len(_EXIF)  # bytes of EXIF that a JPEG's segment can hold
 _BYTE, _ASCII, _LONG, _RATIONAL = 1, 2, 4, 5
-_TINY = 3_600_000_000  # in a degree; one is 30 micrometres on the ground
 _SUPERSEDED = frozenset(
     {GPS.GPSLatitudeRef, GPS.GPSLatitude, GPS.GPSLongitudeRef, GPS.GPSLongitude, GPS.GPSHPositioningError}
 )
@@ -377,17 +456,13 @@ def _position(
     }
     for tag, letter in letters.items():
         entries[tag] = struct.pack(order + "HHI4s", tag, _ASCII, 2, letter)
-    numbers = {GPS.GPSLatitude: _exif_angle(where.lat), GPS.GPSLongitude: _exif_angle(where.lon)}
+    numbers = {
+        GPS.GPSLatitude: _degrees_minutes_seconds(where.lat),
+        GPS.GPSLongitude: _degrees_minutes_seconds(where.lon),
+    }
     if within_m is not None:
         numbers[GPS.GPSHPositioningError] = [(min(round(within_m * 100), 0xFFFFFFFF), 100)]
     for tag, fractions in numbers.items():
         entries[tag] = struct.pack(order + "HHII", tag, _RATIONAL, len(fractions), len(tiff))
         tiff += b"".join(struct.pack(order + "II", *fraction) for fraction in fractions)
     return tiff, entries
-
-
-def _exif_angle(degrees: float) -> list[tuple[int, int]]:
-    """Degrees, minutes and seconds as fractions."""
-    whole, rest = divmod(round(abs(degrees) * _TINY), _TINY)
-    minutes, micro = divmod(rest, 60_000_000)
-    return [(whole, 1), (minutes, 1), (micro, 1_000_000)]

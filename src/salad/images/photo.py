@@ -17,8 +17,8 @@ from typing import TextIO
 
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint
-from salad.images.decode import existing, naming, read_exif
-from salad.images.metadata import Position, parse_at_name
+from salad.images.decode import existing, naming
+from salad.images.metadata import Position, parse_at_name, read_exif
 from salad.tables import rows
 
 # --- Positions of photos from a table: CSV or Parquet with the columns `path,lat,lon[,heading,time]` ---

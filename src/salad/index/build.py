@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.errors import SaladError
+from salad.images.decode import Pixels
 from salad.images.photo import Photo, PhotoTable, content_hash, placed
-from salad.images.workers import Here, Pixels, in_order, reader_for, workers
+from salad.images.workers import Here, in_order, reader_for, workers
 from salad.index.index import Index
 
 if TYPE_CHECKING:

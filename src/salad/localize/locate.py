@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from salad.errors import PhotoError
-from salad.images.workers import Here, Pixels, in_order, reader_for, workers
+from salad.images.decode import Pixels
+from salad.images.workers import Here, in_order, reader_for, workers
 from salad.index.index import Index, Match
 from salad.localize.voting import GENERIC, RADIUS_M, Place, Voting, vote
 from salad.network.config import Calibration

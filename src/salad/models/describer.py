@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.errors import ModelError, PhotoError
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import decode, squeeze
 from salad.network.aggregators.base import Aggregator, build_aggregator
 from salad.network.aggregators.route import Route
 from salad.network.aggregators.salad import Salad
@@ -193,7 +193,10 @@ class Describer(nn.Module):
         return Share(plan[-1].reshape(tokens.grid), plan[:-1].argmax(axis=0).reshape(tokens.grid))
 
     def _squeeze(self, photo: PhotoLike) -> UInt8[np.ndarray, "height width 3"]:
-        height, width = self.preprocessing.height, self.preprocessing.width
+        to = self.preprocessing
+        height, width, resample = to.height, to.width, to.resample
+        if isinstance(photo, str | Path):
+            return decode(Path(photo), height, width, resample)
         if isinstance(photo, np.ndarray):
             if photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
                 raise PhotoError(
@@ -202,9 +205,7 @@ class Describer(nn.Module):
             if photo.shape == (height, width, 3):
                 return photo
             photo = Image.fromarray(photo)
-        if not isinstance(photo, Image.Image):
-            photo = open_rgb(Path(photo))
-        return squeeze(photo, height, width, self.preprocessing.resample)
+        return squeeze(photo, height, width, resample)
 
 
 def _with_dustbin(aggregator: Aggregator, name: str) -> Salad:

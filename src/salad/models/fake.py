@@ -12,7 +12,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from salad.errors import ModelError
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import decode, squeeze
 from salad.network.config import Preprocessing
 
 _SIDE = 8  # the thumbnail's side in pixels
@@ -72,10 +72,11 @@ class FakeDescriber:
 
     def _thumbnail(self, photo: str | Path | Image.Image | npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
         """`[8 * 8 * 3 + 1]`: colours around their mean, and a constant, so that a flat photo has one too."""
-        if isinstance(photo, str | Path):
-            photo = open_rgb(Path(photo))
-        image = Image.fromarray(photo) if isinstance(photo, np.ndarray) else photo.convert("RGB")
         to = self.preprocessing
-        seen = Image.fromarray(squeeze(image, to.height, to.width, to.resample))
-        small = squeeze(seen, _SIDE, _SIDE).astype(np.float64).ravel() / 255
+        if isinstance(photo, str | Path):
+            seen = decode(Path(photo), to.height, to.width, to.resample)
+        else:
+            image = Image.fromarray(photo) if isinstance(photo, np.ndarray) else photo.convert("RGB")
+            seen = squeeze(image, to.height, to.width, to.resample)
+        small = squeeze(Image.fromarray(seen), _SIDE, _SIDE).astype(np.float64).ravel() / 255
         return np.append(small - small.mean(), 0.1)

@@ -64,15 +64,16 @@ class Thumbnails:
         """
         if (path, side) not in self._drawn:
             try:
-                self._drawn[path, side] = self._draw(open_rgb(path), side)
+                self._drawn[path, side] = self._draw(path, side)
             except (PhotoError, OSError, ValueError):  # the last: a name from a file that no system takes
                 self.missing.append(name)
                 self._drawn[path, side] = None
         return self._drawn[path, side]
 
-    def _draw(self, photo: Image.Image, side: int) -> Thumbnail:
-        layers = {}
-        share = None if self.model is None else share_of(self.model, photo)
+    def _draw(self, path: Path, side: int) -> Thumbnail:
+        photo, layers = open_rgb(path), {}
+        # The model reads the file itself: the photo for people is decoded otherwise than one for a model.
+        share = None if self.model is None else share_of(self.model, path)
         if share is not None:
             self.dustbins.append(float(share.dustbin.mean()))
             layers["dustbin"] = data_uri(dustbin_layer(share))

@@ -19,7 +19,7 @@ from torch import Tensor
 from salad.datasets.samplers import CliqueSampler, MixedSampler, OneCitySampler, Sampler
 from salad.datasets.training_place import TrainingPlace, View
 from salad.errors import BenchmarkError, ModelError, PhotoError
-from salad.images.decode import open_rgb, squeeze
+from salad.images.decode import decode
 from salad.models.describer import Describer
 from salad.network.config import Preprocessing
 from salad.training.augment import CUTTING, augmentation
@@ -158,11 +158,8 @@ class ImageCache:
         return self._read(path)
 
     def _read(self, path: Path) -> Future[Pixels]:
-        return self._pool.submit(_decoded, path, self.preprocessing)
-
-
-def _decoded(path: Path, to: Preprocessing) -> Pixels:
-    return squeeze(open_rgb(path), to.height, to.width, to.resample)
+        to = self.preprocessing
+        return self._pool.submit(decode, path, to.height, to.width, to.resample)
 
 
 def _after(place: TrainingPlace, path: Path) -> tuple[Path, ...]:

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from salad.datasets.training_place import View
 from salad.files import write_whole
+from salad.images.decode import DECODER
 from salad.models.describer import Describer
 from salad.network.tokens import Tokens
 from salad.training.batches import BatchLoader, preprocessing_of
@@ -99,10 +100,10 @@ class TokensCache:
         return hashlib.blake2b(json.dumps(told).encode(), digest_size=16).hexdigest()
 
     def _settings(self) -> str:
-        """Names what decides all files alike: the backbone, the photos' size, the changes, the precision."""
+        """Names what decides all files alike: the backbone, how photos are read and changed, the precision."""
         recipe: Any = self.feed.recipe
         size = asdict(preprocessing_of(self.model, recipe))
-        told = [self.model.config.as_dict()["backbone"], size, recipe.augment, recipe.precision]
+        told = [self.model.config.as_dict()["backbone"], size, DECODER, recipe.augment, recipe.precision]
         digest = hashlib.blake2b(json.dumps(told, sort_keys=True).encode(), digest_size=8)
         for key, weight in sorted(self.model.backbone.state_dict().items()):
             digest.update(key.encode())

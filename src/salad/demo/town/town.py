@@ -32,7 +32,7 @@ from salad.demo.town.visits import ORIGIN, position_of, take_queries, take_refer
 from salad.errors import BenchmarkError
 from salad.files import write_whole
 from salad.geo import GeoPoint, shifted
-from salad.images.decode import save_jpeg
+from salad.images.metadata import save_jpeg
 from salad.tables import csv_line
 
 # --- Draws many photos of a town, on several cores, and writes them with what a camera would know ---
