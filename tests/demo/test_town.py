@@ -10,14 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+import salad
 from salad.demo.town import town as drawing
-from salad.demo.town.camera import Camera
+from salad.demo.town.camera import Camera, Shot
+from salad.demo.town.canvas import Canvas, noise
 from salad.demo.town.facade import front_height, paint_front, paint_side
 from salad.demo.town.ground import CELL, Field, Ground, shadows
 from salad.demo.town.light import LIGHTS, towards
 from salad.demo.town.plan import FRONT, invent, park_cars, plan_town
-from salad.demo.town.raster import HOLE, Canvas, Faces, Texture, cast, noise
-from salad.demo.town.scene import Shot, Studio
+from salad.demo.town.raster import HOLE, Faces, Texture, cast
+from salad.demo.town.scene import Studio
 from salad.demo.town.town import Town, draw_town, read_town
 from salad.demo.town.visits import CONDITIONS, position_of, take_queries, take_references
 from salad.errors import BenchmarkError
@@ -45,6 +47,13 @@ def studio() -> Studio:
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_only_the_demo_the_tests_and_the_benchmarks_reach_the_town() -> None:
+    home = Path(salad.__file__).parent
+    outside = [path for path in home.rglob("*.py") if home / "demo" not in path.parents]
+    assert outside
+    assert not [path for path in outside if "salad.demo.town" in path.read_text(encoding="utf-8")]
 
 
 # --- geometry

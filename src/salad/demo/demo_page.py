@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     from salad.index.index import Match
     from salad.models.describer import Describes
 
-BEST = 3
-"""References shown beside a query."""
+BEST = 3  # references shown beside a query
+# Pixels of photos' longer sides: twice of what the page shows, for fine screens.
 QUERY_SIDE, REFERENCE_SIDE = 480, 320
-"""Pixels of photos' longer sides: twice of what the page shows, for fine screens."""
-TINTS = 4
-"""Of house roofs."""
+TINTS = 4  # of house roofs
 
 
 def write_demo_page(result: DemoResult, model: Describes | None = None) -> Path:

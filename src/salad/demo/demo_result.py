@@ -16,8 +16,7 @@ from salad.geo import GeoPoint, metres_between, told_metres
 from salad.index.index import Match
 from salad.localize.locate import Answer
 
-WITHIN_M = 25.0
-"""An answer so close to the truth is right: the field's own measure."""
+WITHIN_M = 25.0  # an answer so close to the truth is right: the field's own measure
 
 Verdict = Literal["right", "wrong", "unknown"]
 VERDICTS: tuple[Verdict, ...] = ("right", "wrong", "unknown")
@@ -28,9 +27,9 @@ class Judged:
     """An answer beside the truth.
 
     Attributes:
-        answer: what the model said.
-        truth: where the query was really taken.
-        condition: its light and weather.
+        answer: What the model said.
+        truth: Where the query was really taken.
+        condition: Its light and weather.
     """
 
     answer: Answer
@@ -59,15 +58,15 @@ class DemoResult:
     """What came of the demo.
 
     Attributes:
-        town: the town and its photos.
-        judged: every query's answer beside the truth, in order.
-        model: name of the model.
-        fingerprint: of the model.
-        described: photos described, references and queries together.
-        seconds: taken to index the references and locate the queries: reading, describing, searching.
-        seed: the town's.
-        page: the page that shows it all.
-        index: the index that was built.
+        town: The town and its photos.
+        judged: Every query's answer beside the truth, in order.
+        model: Name of the model.
+        fingerprint: Of the model.
+        described: Photos described, references and queries together.
+        seconds: Taken to index the references and locate the queries: reading, describing, searching.
+        seed: The town's.
+        page: The page that shows it all.
+        index: The index that was built.
     """
 
     town: Town

@@ -45,18 +45,18 @@ def run_demo(
     Makes `town/` (kept and used again when it is complete), `town.index/` (made anew) and `town.html` in `to`.
 
     Args:
-        to: the folder; made where it does not exist.
-        seed: decides the town.
-        references: photos of the drive by day.
-        queries: later photos, under other conditions.
-        model: what describes photos; `salad-lite` where not given.
-        say: called with a sentence before each step.
-        progress: called with (done, of how many) within a step.
+        to: The folder; made where it does not exist.
+        seed: Decides the town.
+        references: Photos of the drive by day.
+        queries: Later photos, under other conditions.
+        model: What describes photos; `salad-lite` where not given.
+        say: Called with a sentence before each step.
+        progress: Called with (done, of how many) within a step.
 
     Raises:
-        BenchmarkError: the town or the page cannot be written.
-        StoreError: the index cannot be written.
-        WeightsError: the model's weights are missing.
+        BenchmarkError: If the town or the page cannot be written.
+        StoreError: If the index cannot be written.
+        WeightsError: If the model's weights are missing.
     """
     home = Path(to)
     model = model or _shipped()

@@ -16,15 +16,11 @@ from salad.evaluation.bootstrap import Interval
 from salad.evaluation.result import Result
 from salad.geo import told_metres
 
-WIDE, HIGH = 360, 230
-"""Units between the axes; the page scales them."""
-LEFT, RIGHT, ABOVE, BELOW = 42, 22, 12, 40
-"""Units around them, for what stands at the axes."""
-POINTS = 600
-"""Corners of a curve at most: more than it has pixels."""
+WIDE, HIGH = 360, 230  # units between the axes; the page scales them
+LEFT, RIGHT, ABOVE, BELOW = 42, 22, 12, 40  # units around them, for what stands at the axes
+POINTS = 600  # corners of a curve at most: more than it has pixels
 TICKS = tuple((float(percent), f"{percent}") for percent in (0, 25, 50, 75, 100))
-METRES = (1.0, 1e5)
-"""What the axis of metres begins with, and where it ends at the latest."""
+METRES = (1.0, 1e5)  # what the axis of metres begins with, and where it ends at the latest
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ from salad.report.strips import Thumbnails
 if TYPE_CHECKING:
     from salad.models.describer import Describes
 
-LISTED = 20
-"""Leaks and groups that are named."""
+LISTED = 20  # leaks and groups that are named
 
 
 def write_report(result: Result, page: Path, model: Describes | None = None) -> tuple[str, ...]:

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from salad.models.describer import Describes, Share
 
 
+# Colours of the dustbin's heat: a little, as the photo's mean and more, all of a token.
 EMBER = ((255, 196, 61), (226, 61, 40), (122, 14, 66))
-"""Colours of the dustbin's heat: a little, as the photo's mean and more, all of a token."""
+# Frames of a match at the right place, at a wrong one, and where nobody knows.
 RIGHT, WRONG, PLAIN = (15, 124, 134), (208, 72, 38), (120, 124, 130)
-"""Frames of a match at the right place, at a wrong one, and where nobody knows."""
 
 
 def share_of(model: Describes, photo: str | Path | Image.Image) -> Share | None:

@@ -16,20 +16,15 @@ from salad.evaluation.result import Degrees, QueryResult, Result, along
 from salad.geo import EARTH_RADIUS_M, round_metres, told_metres
 from salad.report.mistakes import OUTCOMES, Outcome, outcome
 
-WIDE = 1000.0
-"""Units across a map; the page scales it."""
+WIDE = 1000.0  # units across a map; the page scales it
+# The least and the most height, as a part of the width: a street is no sliver, and a map fits on a screen.
 SHAPE = (0.42, 0.86)
-"""The least and the most height, as a part of the width: a street is no sliver, and a map fits on a screen."""
-MARGIN = 0.06
-"""Of the longer side."""
-SMALLEST_M = 40.0
-"""Across a map, in metres, where all of it is one place."""
-REGION_CELL = 0.25
-"""Degrees: what touches across cells of that size is one region."""
-MAPS = 6
-"""The regions with the most queries are drawn."""
+MARGIN = 0.06  # of the longer side
+SMALLEST_M = 40.0  # across a map, in metres, where all of it is one place
+REGION_CELL = 0.25  # degrees: what touches across cells of that size is one region
+MAPS = 6  # the regions with the most queries are drawn
+# Marks that are elements of their own; more are drawn as one shape a kind, or a browser crawls.
 SINGLE = 4000
-"""Marks that are elements of their own; more are drawn as one shape a kind, or a browser crawls."""
 _M_A_DEGREE = math.radians(1) * EARTH_RADIUS_M
 
 
@@ -210,18 +205,12 @@ def mark_of(one: QueryResult, number: int, *, linked: bool) -> QueryMark:
     return QueryMark(number + 1, kind, said, linked)
 
 
-NAMES = 150.0
-"""Units that the rows' names take at the left of the drive."""
-ROW = 26.0
-"""Units of a row's height."""
-CELLS = 120
-"""In a row at most."""
-ROW_GROUPS = 40
-"""So many groups have rows of their own; more only stand one after another."""
-LETTERS = 20
-"""Of a row's name."""
-CELL_WIDTH = (3.0, 18.0)
-"""The least and the most width of a cell in units."""
+NAMES = 150.0  # units that the rows' names take at the left of the drive
+ROW = 26.0  # units of a row's height
+CELLS = 120  # in a row at most
+ROW_GROUPS = 40  # so many groups have rows of their own; more only stand one after another
+LETTERS = 20  # of a row's name
+CELL_WIDTH = (3.0, 18.0)  # the least and the most width of a cell in units
 CELL_HEIGHT = {"right": 9.0, "wrong": 20.0, "unanswerable": 14.0}
 
 

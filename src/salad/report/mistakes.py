@@ -17,12 +17,10 @@ from salad.report.strips import Figure, Strip, Thumbnails, Words
 
 Outcome: TypeAlias = Literal["right", "wrong", "unanswerable"]
 OUTCOMES: tuple[Outcome, ...] = ("right", "wrong", "unanswerable")
+# Mistakes of a kind on a page: enough to see what they have in common, few enough to look at.
 SHOWN = 8
-"""Mistakes of a kind on a page: enough to see what they have in common, few enough for a page of 2 MB."""
-UNANSWERABLE = 4
-"""Queries on it that nothing is right for."""
-SIDE = 256
-"""Pixels of a photo's longer side."""
+UNANSWERABLE = 4  # queries on it that nothing is right for
+SIDE = 256  # pixels of a photo's longer side
 
 
 def outcome(one: QueryResult) -> Outcome:

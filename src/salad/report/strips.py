@@ -16,8 +16,7 @@ from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_o
 if TYPE_CHECKING:
     from salad.models.describer import Describes
 
-QUALITY = 76
-"""Of the JPEGs inside a page: at these sizes more is not seen, and a page is mailed around."""
+QUALITY = 76  # of the JPEGs inside a page: at these sizes more is not seen, and a page is mailed around
 
 
 @dataclass(frozen=True, slots=True)

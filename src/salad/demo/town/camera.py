@@ -13,12 +13,12 @@ class Camera:
     """A pinhole camera.
 
     Attributes:
-        position: x east, y north, z up, in metres.
-        heading: degrees clockwise from north.
-        pitch: degrees upwards.
-        roll: degrees; positive turns the camera clockwise, so the world counter-clockwise.
-        view: horizontal angle of view in degrees.
-        size: width and height in pixels.
+        position: X east, y north, z up, in metres.
+        heading: Degrees clockwise from north.
+        pitch: Degrees upwards.
+        roll: Degrees; positive turns the camera clockwise, so the world counter-clockwise.
+        view: Horizontal angle of view in degrees.
+        size: Width and height in pixels.
     """
 
     position: tuple[float, float, float]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salad.demo.town.plan import FRONT, ROAD, Plan, Street, Thing
-from salad.demo.town.raster import Floats, noise
+from salad.demo.town.canvas import noise
+from salad.demo.town.plan import FRONT, ROAD, Thing, TownPlan
+from salad.demo.town.raster import Floats
 
-CELL = 0.5
-"""Side of a cell of every map of the town, in metres."""
+CELL = 0.5  # side of a cell of every map of the town, in metres
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Field:
         return np.asarray(below * (1 - y) + above * y, np.float32)
 
 
-def _cells(plan: Plan, margin: float = 0.0) -> tuple[Floats, Floats, float, float]:
+def _cells(plan: TownPlan, margin: float = 0.0) -> tuple[Floats, Floats, float, float]:
     west, south, east, north = plan.box
     columns, rows = (
         np.arange(west - margin, east + margin, CELL),
@@ -50,10 +51,10 @@ class Ground:
     """What the ground's colours are made from.
 
     Attributes:
-        streets: distance from the nearest street's middle, the same with a sign for its left, and distance
+        streets: Distance from the nearest street's middle, the same with a sign for its left, and distance
             along that street to its nearer end, three channels.
-        shade: how far buildings darken what is near them, 0 to 1.
-        grain: repeating noise ``[512, 512]``.
+        shade: How far buildings darken what is near them, 0 to 1.
+        grain: Repeating noise ``[512, 512]``.
     """
 
     streets: Field
@@ -61,13 +62,24 @@ class Ground:
     grain: Floats
 
     @classmethod
-    def of(cls, plan: Plan) -> Ground:
+    def of(cls, plan: TownPlan) -> Ground:
         """Survey the town."""
         x, y, west, south = _cells(plan)
         found = np.full((*x.shape, 3), 99.0, np.float32)
         for street in plan.streets:
-            for number in range(len(street.line) - 1):
-                _survey(street, number, x, y, found)
+            for number, (start, stop) in enumerate(pairwise(street.line)):
+                # Only the cells near this metre of street: not the whole town for every metre.
+                rows, columns = _near((start + stop) / 2, 14.0, x, y)
+                size = float(np.linalg.norm(stop - start))
+                way = (stop - start) / size
+                right, up = x[rows, columns] - start[0], y[rows, columns] - start[1]
+                forward = np.clip(right * way[0] + up * way[1], 0, size)
+                away = np.hypot(right - forward * way[0], up - forward * way[1])
+                left = np.where(way[0] * up - way[1] * right > 0, away, -away)
+                along = street.along[number] + forward
+                nearer = away < found[rows, columns, 0]
+                entry = np.stack([away, left, np.minimum(along, street.length - along)], axis=-1)
+                found[rows, columns][nearer] = entry[nearer]
         high = (heights(plan, ()).values > 0).astype(np.float32)
         for axis in (0, 1):
             high = np.mean([np.roll(high, step, axis) for step in range(-3, 4)], axis=0, dtype=np.float32)
@@ -120,23 +132,7 @@ class Ground:
         rgb[yard] *= (1 + 0.12 * coarse + 0.1 * fine)[yard, None]
 
 
-def _survey(street: Street, number: int, x: Floats, y: Floats, found: Floats) -> None:
-    """Let the cells near one metre of street know of it."""
-    start, stop = street.line[number], street.line[number + 1]
-    rows, columns = _near((start + stop) / 2, 14.0, x, y)
-    size = float(np.linalg.norm(stop - start))
-    way = (stop - start) / size
-    east, north = x[rows, columns] - start[0], y[rows, columns] - start[1]
-    forward = np.clip(east * way[0] + north * way[1], 0, size)
-    away = np.hypot(east - forward * way[0], north - forward * way[1])
-    left = np.where(way[0] * north - way[1] * east > 0, away, -away)
-    along = street.along[number] + forward
-    nearer = away < found[rows, columns, 0]
-    entry = np.stack([away, left, np.minimum(along, street.length - along)], axis=-1)
-    found[rows, columns][nearer] = entry[nearer]
-
-
-def heights(plan: Plan, cars: tuple[Thing, ...], margin: float = 0.0) -> Field:
+def heights(plan: TownPlan, cars: tuple[Thing, ...], margin: float = 0.0) -> Field:
     """How high everything stands: houses to half their roofs, tree crowns with gaps, cars."""
     x, y, west, south = _cells(plan, margin)
     high = np.zeros(x.shape, np.float32)

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from salad.demo.town.camera import Camera
+from salad.demo.town.canvas import noise
 from salad.demo.town.ground import Field, Ground
-from salad.demo.town.raster import DISPLAY, LAMP, LEAF, WINDOW, Floats, Seen, noise
-
-# --- The lights and weathers a town is photographed in ---
-
+from salad.demo.town.raster import DISPLAY, LAMP, LEAF, WINDOW, Floats, Seen
 
 Rgb = tuple[float, float, float]
 
@@ -24,19 +22,19 @@ class Light:
     """One kind of light; colours are factors about 1, angles degrees, lengths metres.
 
     Attributes:
-        sun: where the sun stands, degrees clockwise from north and above the horizon.
-        direct: its light; nothing casts a shadow where it is black.
-        sky: light from all sides.
-        zenith: the sky's colour above, 0 to 255.
-        horizon: the sky's colour below, which distant things fade to.
-        sight: how far one sees.
-        clouds: share of the sky they cover.
-        lit: share of windows with a lamp behind them; 0 also leaves the street lamps off.
-        wet: how much the road mirrors.
-        leaf: tint of the leaves.
-        grain: noise of the sensor, in grey levels.
-        bright: how bright the camera makes a photo's middle, 0 to 255.
-        hour: of the day the light belongs to.
+        sun: Where the sun stands, degrees clockwise from north and above the horizon.
+        direct: Its light; nothing casts a shadow where it is black.
+        sky: Light from all sides.
+        zenith: The sky's colour above, 0 to 255.
+        horizon: The sky's colour below, which distant things fade to.
+        sight: How far one sees.
+        clouds: Share of the sky they cover.
+        lit: Share of windows with a lamp behind them; 0 also leaves the street lamps off.
+        wet: How much the road mirrors.
+        leaf: Tint of the leaves.
+        grain: Noise of the sensor, in grey levels.
+        bright: How bright the camera makes a photo's middle, 0 to 255.
+        hour: Of the day the light belongs to.
     """
 
     sun: tuple[float, float]
@@ -55,6 +53,7 @@ class Light:
     hour: int = 11
 
 
+# ``day`` is the references' light; the queries take turns through the others.
 LIGHTS: dict[str, Light] = {
     "day": Light((152, 48), (0.74, 0.7, 0.62), (0.66, 0.69, 0.74), (74, 124, 190), (186, 206, 224)),
     "overcast": Light(
@@ -87,8 +86,8 @@ LIGHTS: dict[str, Light] = {
         leaf=(2.1, 1.05, 0.5), hour=15,
     ),
 }  # fmt: skip
-"""``day`` is the references' light; the queries take turns through the others."""
 
+LAMPS_ON = 0.3  # where more windows than that are lit, the street lamps are
 LAMP_GLOW = np.array([255, 206, 138], np.float32)
 ROOM_LIGHTS = np.array([[1.0, 0.78, 0.46], [1.0, 0.88, 0.66], [0.82, 0.9, 1.0], [1.0, 0.7, 0.36]], np.float32)
 
@@ -98,9 +97,6 @@ def towards(light: Light) -> NDArray[np.float64]:
     azimuth, elevation = np.radians(light.sun)
     flat = np.cos(elevation)
     return np.array([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)])
-
-
-# --- What is behind and above the town: sky, clouds, hills, and the glow of lamps in the air ---
 
 
 @dataclass(frozen=True)
@@ -167,8 +163,8 @@ class Surfaces:
     """What is at every pixel: place in metres, depth (0 is sky), unit normal; ``[H, W]`` each.
 
     Attributes:
-        below: where it is the ground.
-        leaf: where it is foliage, which has no one direction.
+        below: Where it is the ground.
+        leaf: Where it is foliage, which has no one direction.
     """
 
     east: Floats
@@ -194,6 +190,40 @@ class Surfaces:
         table = np.concatenate([normals / lengths, [[0.0, 0.0, 1.0]]]).astype(np.float32)
         return cls(east, north, height, depth, table[seen.face], below, seen.kind == LEAF)
 
+    def daylight(self, light: Light, shade: Field | None, ground: Ground) -> Floats:
+        """Light of sun and sky on every pixel, as factors ``[H, W, 3]``."""
+        facing, sun = self.facing, towards(light).astype(np.float32)
+        open_sky = 0.74 + 0.26 * facing[..., 2] + 0.1 * (facing[..., 0] * sun[0] + facing[..., 1] * sun[1])
+        low = (self.height < 3) & (self.depth > 0) & ~self.leaf
+        corner = ground.shade.at(self.east[low], self.north[low])[:, 0]
+        open_sky[low] *= 1 - 0.62 * corner * np.exp(-np.maximum(self.height[low], 0) / np.float32(1.1))
+        total = open_sky[..., None] * np.array(light.sky, np.float32)
+        if shade is not None:
+            cosine = np.where(self.leaf, np.float32(0.75), facing @ sun)
+            sunny = (cosine > 0) & (self.depth > 0)
+            out = np.float32(0.45)
+            reach = shade.at(
+                self.east[sunny] + out * facing[sunny, 0], self.north[sunny] + out * facing[sunny, 1]
+            )[:, 0]
+            # A crown is a whole column of shade in the map, so leaves count as higher up than they are.
+            above = self.height[sunny] + np.float32(3.0) * self.leaf[sunny] - reach
+            share = cosine[sunny] * np.clip(above / np.float32(0.5) + np.float32(0.9), 0, 1)
+            total[sunny] += share[:, None] * np.array(light.direct, np.float32)
+        return np.asarray(total, np.float32)
+
+    def lamplight(self, lamps: NDArray[np.float64]) -> Floats:
+        """How much of the street lamps' light falls on every pixel ``[H, W]``, 0 to 1.6."""
+        total = np.zeros(self.depth.shape, np.float32)
+        for lamp in lamps.astype(np.float32):
+            east, north, up = lamp[0] - self.east, lamp[1] - self.north, lamp[2] - self.height
+            square = east**2 + north**2 + up**2 + 1
+            slope = east * self.facing[..., 0] + north * self.facing[..., 1] + up * self.facing[..., 2]
+            total += np.clip(slope / np.sqrt(square) * np.float32(0.8) + np.float32(0.2), 0, 1) * (
+                22 / square
+            )
+        total[self.depth <= 0] = 0
+        return np.minimum(total, 1.6)
+
 
 def develop(
     camera: Camera,
@@ -209,14 +239,14 @@ def develop(
     """Light what the rays of `camera` saw: float32 ``[H, W, 3]``, 0 to about 255.
 
     Args:
-        camera: the camera.
-        seen: what its rays met.
-        normals: of every face ``[F, 3]``, not yet of length 1.
-        light: the light and weather.
-        ground: colours the rays that met no face but go down.
-        shade: how high the shadows reach; None without a sun.
-        lamps: places of the street lamps near by ``[L, 3]``.
-        seed: decides clouds and lit windows.
+        camera: The camera.
+        seen: What its rays met.
+        normals: Of every face ``[F, 3]``, not yet of length 1.
+        light: The light and weather.
+        ground: Colours the rays that met no face but go down.
+        shade: How high the shadows reach; None without a sun.
+        lamps: Places of the street lamps near by ``[L, 3]``.
+        seed: Decides clouds and lit windows.
     """
     rays = Rays.of(camera)
     surfaces = Surfaces.of(camera, rays, seen, normals)
@@ -227,64 +257,25 @@ def develop(
     own = rgb / np.float32(255)
     glass = (seen.kind >= WINDOW) | (seen.kind == DISPLAY)
     rgb[glass] += np.array(light.horizon, np.float32) * (0.12 if light.lit < 0.3 else 0.03)
-    rgb *= _daylight(light, surfaces, shade, ground)
+    rgb *= surfaces.daylight(light, shade, ground)
     if light.lit > 0:
-        _lamplight(rgb, own, surfaces, light, lamps)
-        _light_windows(rgb, own, seen, light, np.random.default_rng([*seed, 61]))
+        if light.lit > LAMPS_ON:
+            strength = np.float32(1.0 if light.lit > 0.4 else 0.55)
+            rgb += own * LAMP_GLOW * (strength * surfaces.lamplight(lamps))[..., None]
+        light_windows(rgb, own, seen, light, np.random.default_rng([*seed, 61]))
     rgb += (np.array(light.horizon, np.float32) - rgb) * (1 - np.exp(-surfaces.depth / light.sight))[
         ..., None
     ]
     sky = surfaces.depth <= 0
     rgb[sky] = heavens(rays, sky, light, seed)
     if light.wet > 0:
-        _mirror(rgb, below, light.wet, ground.rough(east, north, 2.0))
-    if light.lit > 0.3:
+        mirror(rgb, below, light.wet, ground.rough(east, north, 2.0))
+    if light.lit > LAMPS_ON:
         halos(rgb, camera, surfaces.depth, lamps)
     return rgb
 
 
-def _daylight(light: Light, surfaces: Surfaces, shade: Field | None, ground: Ground) -> Floats:
-    """Light of sun and sky on every pixel, as factors ``[H, W, 3]``."""
-    facing, sun = surfaces.facing, towards(light).astype(np.float32)
-    open_sky = 0.74 + 0.26 * facing[..., 2] + 0.1 * (facing[..., 0] * sun[0] + facing[..., 1] * sun[1])
-    low = (surfaces.height < 3) & (surfaces.depth > 0) & ~surfaces.leaf
-    corner = ground.shade.at(surfaces.east[low], surfaces.north[low])[:, 0]
-    open_sky[low] *= 1 - 0.62 * corner * np.exp(-np.maximum(surfaces.height[low], 0) / np.float32(1.1))
-    total = open_sky[..., None] * np.array(light.sky, np.float32)
-    if shade is not None:
-        cosine = np.where(surfaces.leaf, np.float32(0.75), facing @ sun)
-        sunny = (cosine > 0) & (surfaces.depth > 0)
-        out = np.float32(0.45)
-        reach = shade.at(
-            surfaces.east[sunny] + out * facing[sunny, 0], surfaces.north[sunny] + out * facing[sunny, 1]
-        )[:, 0]
-        # A crown is a whole column of shade in the map, so leaves count as higher up than they are.
-        above = surfaces.height[sunny] + np.float32(3.0) * surfaces.leaf[sunny] - reach
-        share = cosine[sunny] * np.clip(above / np.float32(0.5) + np.float32(0.9), 0, 1)
-        total[sunny] += share[:, None] * np.array(light.direct, np.float32)
-    return np.asarray(total, np.float32)
-
-
-def _lamplight(
-    rgb: Floats, own: Floats, surfaces: Surfaces, light: Light, lamps: NDArray[np.float64]
-) -> None:
-    """Add the pools of light under street lamps."""
-    if light.lit <= 0.3:
-        return
-    total = np.zeros(surfaces.depth.shape, np.float32)
-    for lamp in lamps.astype(np.float32):
-        east, north, up = lamp[0] - surfaces.east, lamp[1] - surfaces.north, lamp[2] - surfaces.height
-        square = east**2 + north**2 + up**2 + 1
-        slope = (
-            east * surfaces.facing[..., 0] + north * surfaces.facing[..., 1] + up * surfaces.facing[..., 2]
-        )
-        total += np.clip(slope / np.sqrt(square) * np.float32(0.8) + np.float32(0.2), 0, 1) * (22 / square)
-    total[surfaces.depth <= 0] = 0
-    strength = np.float32(1.0 if light.lit > 0.4 else 0.55)
-    rgb += own * LAMP_GLOW * (strength * np.minimum(total, 1.6))[..., None]
-
-
-def _light_windows(rgb: Floats, own: Floats, seen: Seen, light: Light, rng: np.random.Generator) -> None:
+def light_windows(rgb: Floats, own: Floats, seen: Seen, light: Light, rng: np.random.Generator) -> None:
     """Light some rooms, the shops and the lamps themselves."""
     glass = seen.kind >= WINDOW
     lot = rng.random((int(seen.face.max(initial=0)) + 1, 256))[seen.face[glass], seen.kind[glass]]
@@ -298,7 +289,7 @@ def _light_windows(rgb: Floats, own: Floats, seen: Seen, light: Light, rng: np.r
     rgb[seen.kind == LAMP] += LAMP_GLOW * np.float32(min(1.0, light.lit * 2.6))
 
 
-def _mirror(rgb: Floats, below: NDArray[np.bool_], wet: float, rough: Floats) -> None:
+def mirror(rgb: Floats, below: NDArray[np.bool_], wet: float, rough: Floats) -> None:
     """Let the wet ground show what stands on it upside down, broken by its roughness."""
     rows, columns = np.nonzero(below)
     if not len(rows):
@@ -319,11 +310,11 @@ def expose(
     """The finished photo: exposure, white balance, tone curve, vignette, sensor noise ``uint8 [H, W, 3]``.
 
     Args:
-        linear: light per ray, 0 to about 255.
-        light: what the camera meters for, and its noise.
-        rng: draws the noise.
-        size: width and height of the photo.
-        shake: how far exposure and white balance wander, as a share.
+        linear: Light per ray, 0 to about 255.
+        light: What the camera meters for, and its noise.
+        rng: Draws the noise.
+        size: Width and height of the photo.
+        shake: How far exposure and white balance wander, as a share.
     """
     height, width = linear.shape[:2]
     meter = float(np.median(linear[height // 4 :: 3, ::3].mean(axis=-1)))

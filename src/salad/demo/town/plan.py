@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# --- What a house of the drawn town looks like: drawn by lot once, the same on every visit ---
-
-
 Colour = tuple[int, int, int]
 
 PLASTERS: tuple[Colour, ...] = (
@@ -58,8 +55,8 @@ class Style:
     Attributes:
         wall: ``plaster``, ``brick``, ``boards`` or ``stone``.
         roof: ``flat``, ``gable`` and ``stepped`` (towards the street), ``eaves`` (along it), ``mansard``.
-        columns: windows side by side.
-        extras: of ``shutters``, ``quoins``, ``bands``, ``balcony``, ``ivy``, ``arches``, ``pediments``,
+        columns: Windows side by side.
+        extras: Of ``shutters``, ``quoins``, ``bands``, ``balcony``, ``ivy``, ``arches``, ``pediments``,
             ``chimney``, ``timber``, ``pipe``, ``blade`` (a hanging sign), ``dormers``, ``boxes`` (flowers).
     """
 
@@ -145,12 +142,9 @@ def invent(seed: tuple[int, ...], width: float) -> Style:
 
 Points = NDArray[np.float64]
 
-ROAD = 4.2
-"""From a street's middle to its kerb, in metres."""
-FRONT = 7.0
-"""From a street's middle to the house fronts, in metres."""
-SPACING = 12.6
-"""The references' places are at most so far apart once a town is large enough, in metres."""
+ROAD = 4.2  # from a street's middle to its kerb, in metres
+FRONT = 7.0  # from a street's middle to the house fronts, in metres
+SPACING = 12.6  # the references' places are at most so far apart once a town is large enough, in metres
 
 
 @dataclass(frozen=True)
@@ -175,6 +169,23 @@ class Street:
         )
         direction = (ahead - behind) / np.linalg.norm(ahead - behind)
         return point + left * np.array([-direction[1], direction[0]]), direction
+
+    def plot(self, side: int, along: float, rng: np.random.Generator) -> tuple[Points, float]:
+        """The corners of a plot that starts `along` metres up the street, on its left (1) or right (-1)."""
+        width = float(
+            rng.choice([rng.uniform(5.2, 8), rng.uniform(8, 11), rng.uniform(11, 15)], p=[0.4, 0.4, 0.2])
+        )
+        setback = FRONT + float(rng.choice([0.0, 0.0, rng.uniform(0.1, 0.7)]))
+        ends = []
+        for place in (along, along + width):
+            # Beyond a street's end its last direction goes on, so that corners are built up.
+            inside = float(np.clip(place, 0.8, self.length - 0.8))
+            point, direction = self.at(inside, side * setback)
+            ends.append(point + (place - inside) * direction)
+        first, second = ends if side == 1 else ends[::-1]
+        right = (second - first) / np.linalg.norm(second - first)
+        back = np.array([-right[1], right[0]]) * float(rng.uniform(8.5, 11.5))
+        return np.array([first, second, second + back, first + back]), float(np.linalg.norm(second - first))
 
 
 @dataclass(frozen=True)
@@ -201,7 +212,7 @@ class Thing:
 
 
 @dataclass(frozen=True)
-class Plan:
+class TownPlan:
     """The town, in metres east and north of its origin."""
 
     seed: int
@@ -219,17 +230,25 @@ class Plan:
         east, north = points.max(axis=0) + 15
         return float(west), float(south), float(east), float(north)
 
+    def nearest(self, point: Points) -> tuple[Street, float, float]:
+        """The street a point lies on, and how far along and to the left of it, in metres."""
+        gaps = [np.linalg.norm(street.line - point, axis=1).min() for street in self.streets]
+        street = self.streets[int(np.argmin(gaps))]
+        along = float(street.along[int(np.argmin(np.linalg.norm(street.line - point, axis=1)))])
+        middle, way = street.at(along)
+        return street, along, float(way[0] * (point - middle)[1] - way[1] * (point - middle)[0])
 
-def plan_town(seed: int, viewpoints: int) -> Plan:
+
+def plan_town(seed: int, viewpoints: int) -> TownPlan:
     """Lay out the largest town whose streets `viewpoints` places still cover densely."""
-    streets = _streets(seed, 2, 2)
+    streets = lay_streets(seed, 2, 2)
     for step in range(1, 40):
-        larger = _streets(seed, 2 + (step + 1) // 2, 2 + step // 2)
+        larger = lay_streets(seed, 2 + (step + 1) // 2, 2 + step // 2)
         if sum(usable(street) for street in larger) / viewpoints > SPACING:
             break
         streets = larger
-    houses = _houses(seed, streets)
-    return Plan(seed, viewpoints, streets, houses, *_furniture(seed, streets))
+    houses = build_houses(seed, streets)
+    return TownPlan(seed, viewpoints, streets, houses, *place_furniture(seed, streets))
 
 
 def usable(street: Street) -> float:
@@ -237,7 +256,7 @@ def usable(street: Street) -> float:
     return max(street.length - 10.0, 1.0)
 
 
-def _streets(seed: int, across: int, along: int) -> tuple[Street, ...]:
+def lay_streets(seed: int, across: int, along: int) -> tuple[Street, ...]:
     """An irregular grid of bent streets with `across` by `along` crossings."""
     nodes = {
         (column, row): np.array([column * 76.0, row * 66.0])
@@ -259,7 +278,7 @@ def _streets(seed: int, across: int, along: int) -> tuple[Street, ...]:
     return tuple(streets)
 
 
-def _houses(seed: int, streets: tuple[Street, ...]) -> tuple[House, ...]:
+def build_houses(seed: int, streets: tuple[Street, ...]) -> tuple[House, ...]:
     """Terraces on both sides of every street, wherever a house fits."""
     houses: list[House] = []
     asphalt = np.concatenate([street.line for street in streets])
@@ -268,7 +287,7 @@ def _houses(seed: int, streets: tuple[Street, ...]) -> tuple[House, ...]:
             rng = np.random.default_rng([seed, 3, street.number, side + 1])
             along = -11.0
             while along < street.length + 4:
-                corners, width = _plot(street, side, along, rng)
+                corners, width = street.plot(side, along, rng)
                 if _free(corners, asphalt, houses):
                     houses.append(
                         House(corners, invent((seed, 4, street.number, side + 1, len(houses)), width))
@@ -277,24 +296,6 @@ def _houses(seed: int, streets: tuple[Street, ...]) -> tuple[House, ...]:
                 else:
                     along += 0.5
     return tuple(houses)
-
-
-def _plot(street: Street, side: int, along: float, rng: np.random.Generator) -> tuple[Points, float]:
-    """The corners of a plot that starts `along` metres up the street, on its left (1) or right (-1)."""
-    width = float(
-        rng.choice([rng.uniform(5.2, 8), rng.uniform(8, 11), rng.uniform(11, 15)], p=[0.4, 0.4, 0.2])
-    )
-    setback = FRONT + float(rng.choice([0.0, 0.0, rng.uniform(0.1, 0.7)]))
-    ends = []
-    for place in (along, along + width):
-        # Beyond a street's end its last direction goes on, so that corners are built up.
-        inside = float(np.clip(place, 0.8, street.length - 0.8))
-        point, direction = street.at(inside, side * setback)
-        ends.append(point + (place - inside) * direction)
-    first, second = ends if side == 1 else ends[::-1]
-    right = (second - first) / np.linalg.norm(second - first)
-    back = np.array([-right[1], right[0]]) * float(rng.uniform(8.5, 11.5))
-    return np.array([first, second, second + back, first + back]), float(np.linalg.norm(second - first))
 
 
 def _free(corners: Points, asphalt: Points, houses: list[House]) -> bool:
@@ -322,7 +323,7 @@ def _apart(ours: Points, theirs: Points, slack: float = 0.06) -> NDArray[np.bool
     return np.asarray(((high < slack) | (low > sizes - slack)).any(axis=-1))
 
 
-def _furniture(seed: int, streets: tuple[Street, ...]) -> tuple[tuple[Thing, ...], tuple[Thing, ...]]:
+def place_furniture(seed: int, streets: tuple[Street, ...]) -> tuple[tuple[Thing, ...], tuple[Thing, ...]]:
     """Trees and lamps along the kerbs."""
     trees, lamps = [], []
     for street in streets:
@@ -344,7 +345,7 @@ def _furniture(seed: int, streets: tuple[Street, ...]) -> tuple[tuple[Thing, ...
     return tuple(trees), tuple(lamps)
 
 
-def park_cars(plan: Plan, visit: int) -> tuple[Thing, ...]:
+def park_cars(plan: TownPlan, visit: int) -> tuple[Thing, ...]:
     """The cars that stand along the kerbs on one visit; other visits see others."""
     cars = []
     for street in plan.streets:

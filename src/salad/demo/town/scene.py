@@ -4,44 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salad.demo.town import things
-from salad.demo.town.camera import Camera
+from salad.demo.town.camera import Shot
 from salad.demo.town.facade import paint_front, paint_mansard, paint_side
 from salad.demo.town.ground import Field, Ground, heights, shadows
 from salad.demo.town.light import LIGHTS, develop, expose, towards
-from salad.demo.town.plan import Plan, Thing, park_cars
+from salad.demo.town.plan import Thing, TownPlan, park_cars, plan_town
 from salad.demo.town.raster import Faces, Texture, cast
 
-
-@dataclass(frozen=True)
-class Shot:
-    """One photo to take: from where, in which light, on which visit (it decides cars and clouds)."""
-
-    name: str
-    camera: Camera
-    light: str
-    visit: int
-
-
-SIGHT = 130.0
-"""Nothing farther away is drawn, in metres."""
-FINER = 1.5
-"""Rays a pixel, along each side."""
+SIGHT = 130.0  # nothing farther away is drawn, in metres
+FINER = 1.5  # rays a pixel, along each side: averaged down, they spare roofs and railings their stairs
 
 
 @dataclass
 class Studio:
     """Draws photos of one town; keeps painted walls, shadows and the ground from one photo to the next."""
 
-    plan: Plan
+    plan: TownPlan
     textures: dict[tuple[object, ...], Texture] = field(default_factory=dict)
     shades: dict[tuple[str, int], Field] = field(default_factory=dict)
     houses: list[Faces] = field(default_factory=list)
+
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def of(seed: int, viewpoints: int) -> Studio:
+        """The studio of a town, kept for the next photo because its painted walls are dear."""
+        return Studio(plan_town(seed, viewpoints))
 
     def __post_init__(self) -> None:
         """Survey the ground and put up the houses."""
@@ -60,7 +54,7 @@ class Studio:
         linear = develop(
             camera,
             seen,
-            _outward(faces, camera),
+            faces.outward_normals(camera),
             light=light,
             ground=self.ground,
             shade=self.shade(shot, parked) if any(light.direct) else None,
@@ -110,10 +104,17 @@ class Studio:
         return self.textures[skin]
 
     def _paint(self, name: object, *rest: Any) -> Texture:
+        houses = self.plan.houses
+        match name, rest:
+            case "front", (number,):
+                return paint_front(houses[number].style, houses[number].width).texture()
+            case "side", (number, wall):
+                start, stop = houses[number].corners[[wall, (wall + 1) % 4]]
+                return paint_side(houses[number].style, float(np.linalg.norm(stop - start)), wall).texture()
+            case "mansard", (number,):
+                house = houses[number]
+                return paint_mansard(house.style, house.width, things.MANSARD_SLOPE).texture()
         makers: dict[object, Callable[..., Texture]] = {
-            "front": self._paint_front,
-            "side": self._paint_side,
-            "mansard": self._paint_mansard,
             "tree": things.paint_tree,
             "lamp": things.paint_lamp,
             "car": things.paint_car,
@@ -125,27 +126,6 @@ class Studio:
             "blade": things.paint_blade,
         }
         return makers[name](*rest)
-
-    def _paint_front(self, number: int) -> Texture:
-        house = self.plan.houses[number]
-        return paint_front(house.style, house.width).texture()
-
-    def _paint_side(self, number: int, wall: int) -> Texture:
-        house = self.plan.houses[number]
-        width = float(np.linalg.norm(house.corners[(wall + 1) % 4] - house.corners[wall]))
-        return paint_side(house.style, width, wall).texture()
-
-    def _paint_mansard(self, number: int) -> Texture:
-        house = self.plan.houses[number]
-        return paint_mansard(house.style, house.width, things.MANSARD_SLOPE).texture()
-
-
-def _outward(faces: Faces, camera: Camera) -> NDArray[np.float64]:
-    """Every face's normal ``[F, 3]``, turned to the camera: what is seen from behind is lit from behind."""
-    corner, right, up = faces.arrays()
-    normals = np.cross(right, up)
-    normals[np.einsum("fi,fi->f", corner - camera.position, normals) > 0] *= -1
-    return normals
 
 
 def _stand(

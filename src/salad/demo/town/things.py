@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from salad.demo.town.canvas import Canvas, noise
 from salad.demo.town.facade import front_height
 from salad.demo.town.plan import House, Thing
-from salad.demo.town.raster import LAMP, LEAF, MATTE, Canvas, Faces, Texture, noise
+from salad.demo.town.raster import LAMP, LEAF, MATTE, Faces, Texture
 
-MANSARD = (2.5, 0.7)
-"""How high a mansard roof rises and how far it leans back, in metres."""
+MANSARD = (2.5, 0.7)  # how high a mansard roof rises and how far it leans back, in metres
 MANSARD_SLOPE = float(np.hypot(*MANSARD))
 LEAVES = ((72, 94, 46), (90, 106, 52), (58, 82, 50), (104, 112, 60), (82, 102, 66), (66, 80, 42))
 
@@ -30,24 +30,19 @@ def paint_tree(sort: int, variant: int) -> Texture:
         share = (centre_up - low) / (high - low)
         reach = 0.33 * np.sqrt(max(0.05, 1 - (2 * share - 0.9) ** 2)) if sort % 3 else 0.3 * (1.15 - share)
         centre = 0.4 + rng.uniform(-1, 1) * max(reach - 0.05, 0.02)
-        _tuft(canvas, rng, centre, centre_up, rng.uniform(0.06, 0.1), 0.62 + 0.5 * share)
+        # A clump of leaves, bright above and dark below.
+        radius, light = rng.uniform(0.06, 0.1), 0.62 + 0.5 * share
+        colour = canvas.rgb[0, 0] * rng.uniform(0.85, 1.15)
+        angle, far = rng.uniform(0, 2 * np.pi, 240), radius * np.sqrt(rng.random(240))
+        x, y = centre + far * np.cos(angle), centre_up + far * np.sin(angle) * 0.8
+        shade = light * (1.0 + 0.5 * (y - centre_up) / radius) * rng.uniform(0.7, 1.3, 240)
+        inside = (x > 0.03) & (x < 0.76) & (y > 0.05) & (y < 0.97)
+        rows = ((canvas.height - y[inside]) * canvas.grain).astype(np.int64)
+        columns = (x[inside] * canvas.grain).astype(np.int64)
+        for down, aside in np.ndindex(3, 4):
+            canvas.rgb[rows + down, columns + aside] = shade[inside, None] * colour
+            canvas.kind[rows + down, columns + aside] = LEAF
     return canvas.texture()
-
-
-def _tuft(
-    canvas: Canvas, rng: np.random.Generator, across: float, up: float, radius: float, light: float
-) -> None:
-    """A clump of leaves, bright above and dark below."""
-    colour = canvas.rgb[0, 0] * rng.uniform(0.85, 1.15)
-    angle, reach = rng.uniform(0, 2 * np.pi, 240), radius * np.sqrt(rng.random(240))
-    x, y = across + reach * np.cos(angle), up + reach * np.sin(angle) * 0.8
-    shade = light * (1.0 + 0.5 * (y - up) / radius) * rng.uniform(0.7, 1.3, 240)
-    inside = (x > 0.03) & (x < 0.76) & (y > 0.05) & (y < 0.97)
-    rows = ((canvas.height - y[inside]) * canvas.grain).astype(np.int64)
-    columns = (x[inside] * canvas.grain).astype(np.int64)
-    for down, aside in np.ndindex(3, 4):
-        canvas.rgb[rows + down, columns + aside] = shade[inside, None] * colour
-        canvas.kind[rows + down, columns + aside] = LEAF
 
 
 def paint_lamp() -> Texture:
@@ -165,11 +160,12 @@ def house_faces(house: House, number: int) -> Faces:
                 eaves[wall], eaves[(wall + 1) % 4] - eaves[wall], up * MANSARD[0], ("tiles", style.tiles)
             )
     if "chimney" in style.extras:
-        faces.extend(_chimney(house, low, style.eaves))
+        faces.extend(chimney_faces(house, low, style.eaves))
     return faces
 
 
-def _chimney(house: House, low: NDArray[np.float64], height: float) -> Faces:
+def chimney_faces(house: House, low: NDArray[np.float64], height: float) -> Faces:
+    """A chimney on the roof of a house: `low` are its corners ``[4, 3]``, `height` is where the roof begins."""
     faces, style = Faces(), house.style
     across = (low[1] - low[0]) / np.linalg.norm(low[1] - low[0])
     inward = (low[3] - low[0]) / np.linalg.norm(low[3] - low[0])
@@ -182,15 +178,13 @@ def _chimney(house: House, low: NDArray[np.float64], height: float) -> Faces:
     return faces
 
 
-# --- Parked cars: an outline drawn out across a width ---
-
-
 PAINTS = (
     (196, 198, 200), (30, 32, 36), (240, 240, 238), (128, 24, 28), (40, 62, 104), (98, 104, 108),
     (58, 84, 70),
     (178, 150, 92),
 )  # fmt: skip
 CAR_WIDTH = 1.74
+# Outlines from front bumper over roof to rear bumper: a hatchback, a saloon and a van, in metres.
 PROFILES: tuple[tuple[tuple[float, float], ...], ...] = (
     (
         (0.0, 0.35),
@@ -214,7 +208,6 @@ PROFILES: tuple[tuple[tuple[float, float], ...], ...] = (
     ),
     ((0.0, 0.35), (0.0, 0.9), (0.5, 1.15), (1.05, 1.9), (4.5, 1.95), (4.75, 1.0), (4.8, 0.6), (4.8, 0.35)),
 )
-"""Outlines from front bumper over roof to rear bumper: a hatchback, a saloon and a van, in metres."""
 
 
 def paint_car(profile: int, paint: int) -> Texture:

@@ -14,11 +14,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salad.demo.town.plan import Plan, plan_town
-from salad.demo.town.scene import Shot, Studio
+from salad.demo.town.camera import Shot
+from salad.demo.town.plan import TownPlan, plan_town
+from salad.demo.town.scene import Studio
 from salad.demo.town.visits import ORIGIN, position_of, take_queries, take_references, time_of
 from salad.errors import BenchmarkError
 from salad.files import write_whole
@@ -35,84 +36,10 @@ from salad.geo import GeoPoint, shifted
 from salad.images.metadata import save_jpeg
 from salad.tables import csv_line
 
-# --- Draws many photos of a town, on several cores, and writes them with what a camera would know ---
-
-
+Progress = Callable[[int, int], None]
 QUALITY = 88
-RUN = 8
-"""Photos a worker takes at a time."""
-
-
-def draw_all(
-    plan: Plan,
-    shots: list[Shot],
-    folder: Path,
-    *,
-    workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> None:
-    """Draw every shot into ``references/`` and ``queries/`` of a folder, the same for any `workers`."""
-    numbered = list(enumerate(shots))
-    runs = [numbered[start : start + RUN] for start in range(0, len(numbered), RUN)]
-    workers = min(workers or os.cpu_count() or 1, len(runs))
-    done = 0
-    try:
-        for count in _in_parallel(plan, runs, folder, workers) if workers > 1 else ():
-            done += count
-            _tell(progress, done, len(shots))
-    except (OSError, BrokenProcessPool):
-        # Some places do not let a process start others; what is drawn by then is drawn again, the same.
-        done = 0
-    if done < len(shots):
-        studio = Studio(plan)
-        for number, shot in numbered:
-            _draw_one(studio, shot, number, folder)
-            _tell(progress, number + 1, len(shots))
-
-
-def _in_parallel(plan: Plan, runs: list[list[tuple[int, Shot]]], folder: Path, workers: int) -> Iterator[int]:
-    # Spawned, not forked: whoever calls may hold threads, torch's for one.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(_draw_run, plan.seed, plan.viewpoints, run, folder) for run in runs]
-        try:
-            for job in jobs:
-                yield job.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-@lru_cache(maxsize=1)
-def _studio(seed: int, viewpoints: int) -> Studio:
-    """A worker's own studio, kept from run to run because its painted walls are dear."""
-    return Studio(plan_town(seed, viewpoints))
-
-
-def _draw_run(seed: int, viewpoints: int, run: list[tuple[int, Shot]], folder: Path) -> int:
-    for number, shot in run:
-        _draw_one(_studio(seed, viewpoints), shot, number, folder)
-    return len(run)
-
-
-def _draw_one(studio: Studio, shot: Shot, number: int, folder: Path) -> None:
-    """Queries carry no position: finding it is their point."""
-    query = shot.visit > 0
-    save_jpeg(
-        studio.draw(shot),
-        folder / ("queries" if query else "references") / shot.name,
-        where=None if query else position_of(shot),
-        heading=shot.camera.heading,
-        time=time_of(shot, number),
-        quality=QUALITY,
-    )
-
-
-def _tell(progress: Callable[[int, int], None] | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress(done, total)
-
-
-VERSION = 2
-"""Raised when the same seed draws other photos, so that older folders are drawn anew."""
+RUN = 8  # photos a worker takes at a time
+VERSION = 2  # raised when the same seed draws other photos, so that older folders are drawn anew
 
 
 @dataclass(frozen=True)
@@ -120,12 +47,12 @@ class Town:
     """A drawn town.
 
     Attributes:
-        references: photos with their position, heading and time as EXIF.
-        queries: photos with heading and time, but no position.
-        truth: where each query was taken, by file name.
-        conditions: the light and weather of each query, by file name.
-        streets: middle lines.
-        blocks: footprints of the houses, four corners each.
+        references: Photos with their position, heading and time as EXIF.
+        queries: Photos with heading and time, but no position.
+        truth: Where each query was taken, by file name.
+        conditions: The light and weather of each query, by file name.
+        streets: Middle lines.
+        blocks: Footprints of the houses, four corners each.
     """
 
     references: tuple[Path, ...]
@@ -144,7 +71,7 @@ def draw_town(
     queries: int = 40,
     size: tuple[int, int] = (480, 360),
     workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Town:
     """Draw a town into a folder: ``references/``, ``queries/``, ``truth.csv`` and ``town.json``.
 
@@ -152,16 +79,16 @@ def draw_town(
     do not depend on the number of workers.
 
     Args:
-        to: the folder; made where it does not exist.
-        seed: decides everything; not negative.
-        references: photos of the drive by day, two from each place; the town is as large as they need.
-        queries: later photos, each within 10 m of a reference.
-        size: width and height of the photos in pixels.
-        workers: processes to draw with; by default one a core. Without leave to start any, draws without.
-        progress: called with how many photos are done and how many there are.
+        to: The folder; made where it does not exist.
+        seed: Decides everything; not negative.
+        references: Photos of the drive by day, two from each place; the town is as large as they need.
+        queries: Later photos, each within 10 m of a reference.
+        size: Width and height of the photos in pixels.
+        workers: Processes to draw with; by default one a core. Without leave to start any, draws without.
+        progress: Called with how many photos are done and how many there are.
 
     Raises:
-        BenchmarkError: if a number is out of range, or the folder holds something else.
+        BenchmarkError: If a number is out of range, or the folder holds something else.
     """
     folder = Path(to)
     if references < 1 or queries < 0 or min(size) < 16 or seed < 0:
@@ -176,15 +103,24 @@ def draw_town(
         "queries": queries,
         "size": list(size),
     }
-    if _holds(folder, wanted):
-        return read_town(folder)
+    with suppress(BenchmarkError):  # no town, or not the whole of it
+        town = read_town(folder)
+        if _read_json(folder).items() >= wanted.items():
+            return town
     plan = plan_town(seed, (references + 1) // 2)
     drive = take_references(plan, references, size)
     later = take_queries(plan, drive, queries)
     _clear(folder)
-    draw_all(plan, drive + later, folder, workers=workers, progress=progress)
-    _write_truth(folder / "truth.csv", later)
-    _write_json(folder / "town.json", wanted | _described(plan, later))
+    draw_all(plan, drive + later, folder, workers=workers, progress=progress or (lambda *_: None))
+    with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
+        file.write(csv_line(["query", "lat", "lon", "heading", "condition"]))
+        for shot in later:
+            where = position_of(shot)
+            at = [f"{where.lat:.8f}", f"{where.lon:.8f}", f"{shot.camera.heading:.2f}"]
+            file.write(csv_line([shot.name, *at, shot.light]))
+    # The description comes last: a folder with one holds a whole town.
+    described = wanted | _described(plan, later)
+    write_whole(folder / "town.json", json.dumps(described, indent=1).encode())
     return read_town(folder)
 
 
@@ -192,7 +128,7 @@ def read_town(folder: str | Path) -> Town:
     """Open a town that `draw_town` has finished.
 
     Raises:
-        BenchmarkError: if there is none, or some of it is missing.
+        BenchmarkError: If there is none, or some of it is missing.
     """
     folder = Path(folder)
     described = _read_json(folder)
@@ -212,14 +148,53 @@ def read_town(folder: str | Path) -> Town:
     return Town(photos, asked, truth, conditions, lines, corners)
 
 
-def _holds(folder: Path, wanted: dict[str, Any]) -> bool:
-    """Whether a folder holds the whole of the town that is wanted."""
-    try:
-        described = _read_json(folder)
-        read_town(folder)
-    except BenchmarkError:
-        return False
-    return all(described.get(key) == value for key, value in wanted.items())
+def draw_all(
+    plan: TownPlan,
+    shots: list[Shot],
+    folder: Path,
+    *,
+    workers: int | None,
+    progress: Progress,
+) -> None:
+    """Draw every shot into ``references/`` and ``queries/`` of a folder, the same for any `workers`."""
+    numbered = list(enumerate(shots))
+    runs = [numbered[start : start + RUN] for start in range(0, len(numbered), RUN)]
+    workers = min(workers or os.cpu_count() or 1, len(runs))
+    done = 0
+    if workers > 1:
+        try:
+            # Spawned, not forked: whoever calls may hold threads, torch's for one.
+            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+                jobs = [pool.submit(_draw_run, plan.seed, plan.viewpoints, run, folder) for run in runs]
+                try:
+                    for job in jobs:
+                        done += job.result()
+                        progress(done, len(shots))
+                finally:
+                    pool.shutdown(wait=True, cancel_futures=True)
+        except (OSError, BrokenProcessPool):
+            # Some places do not let a process start others; what is drawn by then is drawn again, the same.
+            done = 0
+    if done < len(shots):
+        for number, shot in numbered:
+            _draw_run(plan.seed, plan.viewpoints, [(number, shot)], folder)
+            progress(number + 1, len(shots))
+        Studio.of.cache_clear()  # its painted walls are large, and this process has other work to do
+
+
+def _draw_run(seed: int, viewpoints: int, run: list[tuple[int, Shot]], folder: Path) -> int:
+    """Draw some photos, here or in a worker, with what a camera would know; say how many."""
+    for number, shot in run:
+        query = shot.visit > 0
+        save_jpeg(
+            Studio.of(seed, viewpoints).draw(shot),
+            folder / ("queries" if query else "references") / shot.name,
+            where=None if query else position_of(shot),  # finding it is a query's point
+            heading=shot.camera.heading,
+            time=time_of(shot, number),
+            quality=QUALITY,
+        )
+    return len(run)
 
 
 def _clear(folder: Path) -> None:
@@ -243,16 +218,7 @@ def _clear(folder: Path) -> None:
         ) from error
 
 
-def _write_truth(path: Path, shots: list[Shot]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        file.write(csv_line(["query", "lat", "lon", "heading", "condition"]))
-        for shot in shots:
-            where = position_of(shot)
-            at = [f"{where.lat:.8f}", f"{where.lon:.8f}", f"{shot.camera.heading:.2f}"]
-            file.write(csv_line([shot.name, *at, shot.light]))
-
-
-def _described(plan: Plan, shots: list[Shot]) -> dict[str, Any]:
+def _described(plan: TownPlan, shots: list[Shot]) -> dict[str, Any]:
     """The town in words: streets, footprints, and the truth about each query."""
     truth = {
         shot.name: {
@@ -273,10 +239,6 @@ def _on_earth(points: NDArray[np.float64]) -> list[list[float]]:
 
 def _pair(point: GeoPoint) -> list[float]:
     return [round(point.lat, 8), round(point.lon, 8)]
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    write_whole(path, json.dumps(content, indent=1).encode())
 
 
 def _read_json(folder: Path) -> dict[str, Any]:

@@ -7,25 +7,22 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from salad.demo.town.camera import Camera
+from salad.demo.town.camera import Camera, Shot
 from salad.demo.town.light import LIGHTS
-from salad.demo.town.plan import Plan, Street, usable
-from salad.demo.town.scene import Shot
+from salad.demo.town.plan import Street, TownPlan, usable
 from salad.geo import GeoPoint, shifted
 
-ORIGIN = GeoPoint(47.5, 64.5)
-"""Where the invented town is put: open steppe, where no such town stands."""
+ORIGIN = GeoPoint(47.5, 64.5)  # where the invented town is put: open steppe, where no such town stands
+# The lights of later visits, in turn: mostly day, for most photos are taken by day.
 CONDITIONS = (
     *("overcast", "golden evening", "autumn", "rain", "overcast"),
     *("dusk", "autumn", "golden evening", "fog", "night"),
 )
-"""The lights of later visits, in turn: mostly day, for most photos are taken by day."""
-GLANCE = 38.0
-"""References look so far to the right and to the left of their way, in degrees."""
+GLANCE = 38.0  # references look so far to the right and to the left of their way, in degrees
 DRIVE = datetime(2024, 6, 12, 10, 30)
 
 
-def take_references(plan: Plan, count: int, size: tuple[int, int]) -> list[Shot]:
+def take_references(plan: TownPlan, count: int, size: tuple[int, int]) -> list[Shot]:
     """Photos of one drive through all streets, two from every place: ahead right and ahead left."""
     places = (count + 1) // 2
     lengths = np.cumsum([usable(street) for street in plan.streets])
@@ -50,7 +47,7 @@ def take_references(plan: Plan, count: int, size: tuple[int, int]) -> list[Shot]
     return shots
 
 
-def take_queries(plan: Plan, sources: list[Shot], count: int) -> list[Shot]:
+def take_queries(plan: TownPlan, sources: list[Shot], count: int) -> list[Shot]:
     """Photos of later visits, each near one of the references and looking much the same way.
 
     A query stands 1 to 5 m along the street and up to 1 m aside from its reference and looks up to 8 degrees
@@ -61,7 +58,7 @@ def take_queries(plan: Plan, sources: list[Shot], count: int) -> list[Shot]:
     for number in range(count):
         rng = np.random.default_rng([plan.seed, 73, number])
         source = sources[int(chosen[number % len(sources)])].camera
-        street, along, left = _nearest(plan, np.array(source.position[:2]))
+        street, along, left = plan.nearest(np.array(source.position[:2]))
         step = float(rng.uniform(1, 5)) * float(rng.choice([-1, 1]))
         # Where the street ends, step back into it.
         step = step if 3 < along + step < street.length - 3 else -step
@@ -111,12 +108,3 @@ def _shot(
 
 def _heading(way: NDArray[np.float64]) -> float:
     return float(np.degrees(np.arctan2(way[0], way[1])))
-
-
-def _nearest(plan: Plan, point: NDArray[np.float64]) -> tuple[Street, float, float]:
-    """The street a point lies on, and how far along and to the left of it."""
-    gaps = [np.linalg.norm(street.line - point, axis=1).min() for street in plan.streets]
-    street = plan.streets[int(np.argmin(gaps))]
-    along = float(street.along[int(np.argmin(np.linalg.norm(street.line - point, axis=1)))])
-    middle, way = street.at(along)
-    return street, along, float(way[0] * (point - middle)[1] - way[1] * (point - middle)[0])
