@@ -22,7 +22,6 @@ from salad.evaluation.bootstrap import (
     nested,
     percentile_interval,
     share_interval,
-    student,
 )
 
 Sample = Callable[[np.random.Generator], tuple[np.ndarray, list[str]]]
@@ -154,11 +153,13 @@ def test_many_queries_of_one_kind_are_never_surer_than_independent_ones() -> Non
     assert paired.high - paired.low == pytest.approx(2 * 9.6, abs=0.8)
 
 
-def test_student() -> None:  # against a table of its quantiles
-    table = {3: 3.182, 4: 2.776, 5: 2.571, 10: 2.228, 30: 2.042, 1000: 1.962}
-    assert {freedom: student(freedom) for freedom in table} == pytest.approx(table, rel=0.005)
-    assert student(1) > 10
-    assert student(0) == student(1)
+def test_few_units_are_believed_as_student_has_it() -> None:
+    # Half of the queries right, drawn as far apart as independent ones: against a table of Student's quantiles.
+    for units, quantile in {4: 3.182, 6: 2.571, 31: 2.042, 1001: 1.962, 2: 12.706, 1: 12.706}.items():
+        spread = 100 * math.sqrt(0.25 / 400 * max(1, units - 1) / units)  # what makes 400 queries worth 400
+        one = share_interval(50.0, np.array([50 - spread, 50 + spread]), units=units, counted=400)
+        half = math.sqrt(quantile**2 / 1600 + quantile**4 / 640_000) / (1 + quantile**2 / 400)
+        assert one.as_list() == pytest.approx([50 - 100 * half, 50 + 100 * half], abs=0.01)
 
 
 def test_percentiles() -> None:

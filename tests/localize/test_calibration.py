@@ -18,7 +18,7 @@ from salad.localize.calibration import (
     Predictions,
     calibrate,
     calibration_error,
-    fit,
+    fit_logistic,
     judge,
     log_loss,
     reliability,
@@ -81,7 +81,7 @@ def test_the_fit_is_the_optimum_without_negative_weights(seed: int, weights: lis
     right[:2] = True, False
     weight = np.random.default_rng(seed).uniform(0.5, 1.5, len(right))
     weight /= weight.mean()
-    bias, found = fit(evidence, right, 3 * weight)
+    bias, found = fit_logistic(evidence, right, 3 * weight)
     assert (found >= 0).all()
     # Karush, Kuhn and Tucker: no slope along what is free, none that would gain along what is held at 0.
     signed = evidence * SIGNS
@@ -95,8 +95,10 @@ def test_the_fit_is_the_optimum_without_negative_weights(seed: int, weights: lis
 
 def test_the_fit_does_not_care_for_units() -> None:
     evidence, right = drawn(1)
-    bias, weights = fit(evidence, right, np.ones(len(right)))
-    scaled_bias, scaled = fit(evidence * [1, 10, 100, 0.1] + [5, 0, 0, 0], right, np.ones(len(right)))
+    bias, weights = fit_logistic(evidence, right, np.ones(len(right)))
+    scaled_bias, scaled = fit_logistic(
+        evidence * [1, 10, 100, 0.1] + [5, 0, 0, 0], right, np.ones(len(right))
+    )
     assert scaled * [1, 10, 100, 0.1] == pytest.approx(weights, rel=1e-5)
     assert scaled_bias + 5 * scaled[0] == pytest.approx(bias, abs=1e-5)
 
@@ -104,12 +106,12 @@ def test_the_fit_does_not_care_for_units() -> None:
 def test_evidence_that_never_varies_is_no_evidence() -> None:
     evidence, right = drawn(2)
     evidence[:, 3] = 1.0
-    assert np.isfinite(fit(evidence, right, np.ones(len(right)))[1]).all()
+    assert np.isfinite(fit_logistic(evidence, right, np.ones(len(right)))[1]).all()
 
 
 def test_what_is_plain_to_see_is_fitted_too() -> None:
     evidence, _ = drawn(3)
-    bias, weights = fit(
+    bias, weights = fit_logistic(
         evidence, evidence[:, 0] > 0.3, np.ones(200)
     )  # perfectly parted: without a pull to 0 there is no optimum
     assert np.isfinite([bias, *weights]).all()
@@ -119,7 +121,7 @@ def test_what_is_plain_to_see_is_fitted_too() -> None:
 @pytest.mark.parametrize("right", [True, False])
 def test_where_nothing_is_wrong_or_nothing_right_there_is_nothing_to_fit(right: bool) -> None:
     with pytest.raises(BenchmarkError, match="some of both"):
-        fit(drawn(0)[0], np.full(200, right), np.ones(200))
+        fit_logistic(drawn(0)[0], np.full(200, right), np.ones(200))
 
 
 some_weight = st.sampled_from([0.25, 1.0, 2.0])
@@ -169,8 +171,8 @@ def test_calibration_error_of_what_is_known() -> None:
 
 def test_a_weight_of_two_is_the_case_twice() -> None:
     evidence, right = drawn(7)
-    heavy = fit(evidence, right, np.r_[np.full(100, 2.0), np.ones(100)])
-    twice = fit(np.r_[evidence, evidence[:100]], np.r_[right, right[:100]], np.ones(300))
+    heavy = fit_logistic(evidence, right, np.r_[np.full(100, 2.0), np.ones(100)])
+    twice = fit_logistic(np.r_[evidence, evidence[:100]], np.r_[right, right[:100]], np.ones(300))
     # Near, but for the pull to 0 and the scale of the evidence, which know of counts alone.
     assert heavy[0] == pytest.approx(twice[0], abs=0.1)
     assert heavy[1] == pytest.approx(twice[1], rel=0.05, abs=0.05)

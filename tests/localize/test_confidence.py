@@ -44,7 +44,7 @@ def test_confidence_is_the_logistic_function(by: Calibration, given_: Evidence) 
             by.top * given_.top,
             by.gap * given_.gap,
             -by.spread * given_.spread,
-            by.share * given_.share,
+            by.share * given_.vote_fraction,
         ]
     )
     assert confidence(given_, by) == pytest.approx(0.5 * (1 + math.tanh(z / 2)), abs=1e-9)
@@ -63,7 +63,7 @@ def test_evidence_is_what_its_words_say() -> None:
     assert found.gap == pytest.approx(0.9 - 0.7)
     assert found.spread == pytest.approx((0 + 0 + 0.5 + 1) / 4, abs=1e-6)
     sizes = [math.exp(10 * (score - 0.9)) for score in (0.9, 0.8, 0.7, 0.6)]
-    assert found.share == pytest.approx(sum(sizes[:2]) / sum(sizes))
+    assert found.vote_fraction == pytest.approx(sum(sizes[:2]) / sum(sizes))
 
 
 def test_a_runner_up_lags_behind() -> None:

@@ -161,3 +161,27 @@ def test_an_answer_is_json() -> None:
     }
     unknown = Answer(Path("q.jpg"), None, []).as_dict()
     assert unknown == {"query": "q.jpg", "place": None, "matches": [], "others": []}
+
+
+class OneMatch:
+    """An index of another kind: it knows one photo, and finds it whatever is asked."""
+
+    def __init__(self, known: Photo) -> None:
+        self.known = known
+        self.asked: list[object] = []
+
+    def check_model(self, model: object) -> None:
+        self.asked.append(model)
+
+    def search(self, descriptors: np.ndarray, *, k: int, where: object, centred: bool) -> list[list[Match]]:
+        self.asked.append((descriptors.shape, k, where, centred))
+        return [[Match(self.known, 0.9, 0)] for _ in descriptors]
+
+
+def test_any_index_will_do_that_answers_two_questions(tmp_path: Path) -> None:
+    model, index = Centred(), OneMatch(Photo(Path("known.jpg"), TOWN))
+    queries = [draw(tmp_path / f"{n}.png", n) for n in range(3)]
+    answers = list(locate_many(queries, index=index, model=model, k=7, batch_size=2, min_confidence=0.0))
+    assert [answer.query for answer in answers] == queries
+    assert all(answer.place and metres_between(answer.place.where, TOWN) < 0.001 for answer in answers)
+    assert index.asked == [model, ((2, model.dim), 7, None, True), ((1, model.dim), 7, None, True)]

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -188,6 +187,8 @@ def share_interval(
         units: how many things that do not hang together were drawn from.
         counted: how many queries the share is of: it is never taken for surer than that many independent ones.
     """
+    from scipy.special import stdtrit  # late: whoever only reads a saved result does without scipy
+
     part = share / 100
     # Drawn from themselves, units vary too little.
     spread = float(np.var(draws / 100)) * units / max(1, units - 1)
@@ -195,7 +196,9 @@ def share_interval(
     if part in (0, 1):  # nothing varies, so nothing tells how far queries hang together: take it that they do
         worth = float(units)
     worth = min(max(worth, 1.0), counted)
-    wide = student(units - 1) ** 2
+    wide = (
+        float(stdtrit(max(units - 1, 1), (1 + LEVEL) / 2)) ** 2
+    )  # Student's t in place of the normal's 1.96
     middle = (part + wide / (2 * worth)) / (1 + wide / worth)
     half = math.sqrt(wide * (part * (1 - part) / worth + wide / (4 * worth**2))) / (1 + wide / worth)
     low, high = 0.0 if part == 0 else middle - half, 1.0 if part == 1 else middle + half
@@ -220,17 +223,3 @@ def percentile_interval(draws: Float64[np.ndarray, " draws"]) -> Interval:
     ordered, last = np.sort(draws), len(draws) - 1  # nothing is interpolated: an end may be infinite
     low, high = math.floor(last * (1 - LEVEL) / 2), math.ceil(last * (1 + LEVEL) / 2)
     return Interval(float(ordered[low]), float(ordered[high]))
-
-
-def student(freedom: int) -> float:
-    """Student's t that 95 % lie within, by Cornish and Fisher's expansion (Hill 1970): off by 1 % from 3 degrees on."""
-    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
-    v = max(freedom, 1)
-    terms = (
-        z,
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
-    )
-    return math.fsum(term / v**power for power, term in enumerate(terms))

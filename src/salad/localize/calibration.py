@@ -1,93 +1,45 @@
-"""Fitting a calibration: how sure must a place be, given what spoke for it where the truth was known?
+"""How sure must a place be? A calibration fitted to queries whose truth is known, and judged out of fold.
 
-The model is logistic with no negative weight, so it is monotone in everything that speaks for a place. All
-judging is out of fold: a query's confidence comes from a fit that saw no query of the same place.
+Confidence is logistic regression on the four numbers of `Evidence` (Platt's scaling), with no negative weight, so
+that it is monotone in everything that speaks for a place. All judging is out of fold: a query's confidence comes
+from a fit that saw no query of the same place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize
+from scipy.special import expit
 
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between
-from salad.index.index import Match
-from salad.localize.voting import RADIUS_M, Candidate, Evidence, candidates, confidence
+from salad.localize.voting import RADIUS_M, Evidence, candidates, confidence
 from salad.network.config import Calibration
 
-# --- Logistic regression without negative weights: the model behind a calibrated confidence ---
-
+if TYPE_CHECKING:
+    from salad.index.index import Match
 
 Numbers = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
+SHARPNESSES = (5.0, 10.0, 20.0, 40.0, 80.0)
+"""What is tried for `Calibration.sharpness`: twice as sharp each time."""
+BINS = 10
+"""Steps of confidence in a reliability diagram."""
+FOLDS = 5
+RADIUS_COVERAGE = 0.9
+"""Part of the answers whose radius is to hold the truth."""
+
 SIGNS = np.array([1.0, 1.0, -1.0, 1.0])
 """Which way each number of `Evidence` counts: all but the spread make a place surer."""
-_RIDGE = 1.0  # pulls the weights of standardised evidence towards 0, as one query's loss would
-
-
-def fit(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[float, Numbers]:
-    """Bias and weights, none negative, of the logistic model with the least loss.
-
-    At the optimum of a convex loss under `weights >= 0` some weights are 0 and the others are free; so each
-    choice of free ones is fitted by Newton's method, and the best without a negative weight is the optimum.
-
-    Args:
-        evidence: `[cases, 4]` in the order of `Evidence`.
-        right: `[cases]`
-        weight: `[cases]`, above 0; only their ratios count.
-
-    Returns:
-        The bias, and the weights `[4]` of top, gap, spread and share; the spread's counts downwards.
-    """
-    if not right.any() or right.all():
-        raise BenchmarkError(
-            "every place found is right, or every one wrong: a calibration needs some of both"
-        )
-    signed = evidence * SIGNS
-    middle, scale = signed.mean(axis=0), np.maximum(signed.std(axis=0), 1e-6)
-    standard = (signed - middle) / scale
-    least, best = np.inf, (0.0, np.zeros(4))
-    for free in map(list, chain.from_iterable(combinations(range(4), size) for size in range(5))):
-        loss, bias, weights = _newton(standard[:, free], right, weight / weight.mean())
-        if loss < least and (weights >= 0).all():
-            whole = np.zeros(4)
-            whole[free] = weights / scale[free]
-            least, best = loss, (bias - float(whole @ middle), whole)
-    return best
-
-
-def _newton(features: Numbers, right: Flags, weight: Numbers) -> tuple[float, float, Numbers]:
-    """Loss, bias and weights of an unbounded logistic fit to standardised features, by damped Newton steps."""
-    rows = np.column_stack([np.ones(len(right)), features])
-    ridge = np.append(1e-6, np.full(features.shape[1], _RIDGE))
-    at = np.zeros(rows.shape[1])
-
-    def loss(at: Numbers) -> float:
-        z = rows @ at
-        return float(weight @ np.logaddexp(0, np.where(right, -z, z)) + ridge @ at**2 / 2)
-
-    for _ in range(50):
-        sure = 1 / (1 + np.exp(-(rows @ at)))
-        slope = rows.T @ (weight * (sure - right)) + ridge * at
-        step = np.linalg.solve((rows.T * (weight * sure * (1 - sure))) @ rows + np.diag(ridge), slope)
-        while loss(at - step) > loss(at) and np.abs(step).max() > 1e-9:
-            step = step / 2
-        at = at - step
-        if np.abs(step).max() < 1e-9:
-            break
-    return loss(at), float(at[0]), at[1:]
-
-
-SHARPNESSES = (5.0, 10.0, 20.0, 40.0, 80.0)
-BINS = 10
-FOLDS = 5
-HELD = 0.9  # share of answers whose radius holds the truth
+# Pulls the weights of standardised evidence towards 0 as much as one query's loss would, so that there is an optimum
+# where right and wrong are parted perfectly. The bias is pulled by next to nothing: just enough to be unique.
+_RIDGE = np.array([1e-6, 1.0, 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +63,12 @@ class Case:
 class Predictions(NamedTuple):
     """Confidence beside truth, one entry a case.
 
-    Args:
-        confidence: in the first place, 0 to 1.
-        right: whether that is within `RADIUS_M` of the truth.
-        error_m: metres to the truth; infinite where the query is from nowhere near.
-        radius_m: what the place says of that.
-        weight: what the case counts.
+    Attributes:
+        confidence: In the first place, 0 to 1.
+        right: Whether that is within `RADIUS_M` of the truth.
+        error_m: Metres to the truth; infinite where the query is from nowhere near.
+        radius_m: What the place says of that.
+        weight: What the case counts.
     """
 
     confidence: Numbers
@@ -126,8 +78,8 @@ class Predictions(NamedTuple):
     weight: Numbers
 
 
-class Bin(NamedTuple):
-    """Cases of like confidence: how many, their part of all weight, how sure on average, the share right."""
+class ReliabilityBin(NamedTuple):
+    """Cases of like confidence: how many, their part of all weight, how sure on average, the part that is right."""
 
     cases: int
     weight: float
@@ -141,67 +93,130 @@ def calibrate(
     """Fit a calibration, and judge it out of fold.
 
     The sharpness is the one of least loss out of fold; `min_confidence` the lowest at which `precision` of the
-    answers out of fold are right; `radius` the factor by which the radius holds the truth in `HELD` of them.
+    answers out of fold are right; `radius` the factor by which the radius holds the truth in `RADIUS_COVERAGE` of
+    them.
+
+    Args:
+        cases: Queries whose truth is known, of `FOLDS` places at least.
+        precision: Part of the answers that is to be right, 0 to 1.
+        seed: Of the draw that puts places into folds.
+        provenance: What the calibration is to say of itself.
 
     Raises:
-        BenchmarkError: There are too few places, or every answer is right or wrong, so there is nothing to fit.
+        BenchmarkError: If there are too few places, or every answer is right or wrong, so there is nothing to fit.
     """
-    apart = _folds([case.place for case in cases], seed)
-    tried = {sharpness: _seen(cases, sharpness) for sharpness in SHARPNESSES}
-    sure = {sharpness: _out_of_fold(seen, apart) for sharpness, seen in tried.items()}
-    best = min(SHARPNESSES, key=lambda sharpness: log_loss(tried[sharpness].judged(sure[sharpness])))
-    seen = tried[best]
-    limit = threshold(seen.judged(sure[best]), precision)
-    bias, weights = fit(seen.evidence, seen.right, seen.weight)
+    places = sorted({case.place for case in cases})
+    if len(places) < FOLDS:
+        raise BenchmarkError(f"there are queries of {len(places)} places: give at least {FOLDS}")
+    shuffled = np.random.default_rng(seed).permutation(len(places))
+    fold_of = dict(zip(places, shuffled % FOLDS, strict=True))
+    folds = np.array([fold_of[case.place] for case in cases])
+
+    answers = {sharpness: _Answers.of(cases, sharpness) for sharpness in SHARPNESSES}
+    judged = {sharpness: some.predictions(some.out_of_fold(folds)) for sharpness, some in answers.items()}
+    sharpness = min(SHARPNESSES, key=lambda each: log_loss(judged[each]))
+    best, sure = answers[sharpness], judged[sharpness].confidence
+    limit = threshold(judged[sharpness], precision)
+    bias, weights = fit_logistic(best.evidence, best.right, best.weight)
     top, gap, spread, share = (round(float(weight), 4) for weight in weights)
     calibration = Calibration(
-        sharpness=best,
+        sharpness=sharpness,
         bias=round(bias, 4),
         top=top,
         gap=gap,
         spread=spread,
         share=share,
-        radius=round(_holding(seen, sure[best] >= limit), 4),
+        radius=round(best.radius_factor(sure >= limit), 4),
         min_confidence=round(limit, 4),
         provenance=provenance,
     )
-    return calibration, seen.judged(sure[best], calibration.radius)
+    return calibration, best.predictions(sure, calibration.radius)
 
 
 def judge(cases: Sequence[Case], calibration: Calibration) -> Predictions:
-    """What a calibration says of cases it was not fitted on."""
-    seen = _seen(cases, calibration.sharpness)
-    sure = [confidence(Evidence(*one), calibration) for one in seen.evidence]
-    return seen.judged(np.array(sure), calibration.radius)
+    """What a calibration says of cases it was not fitted on.
+
+    Raises:
+        BenchmarkError: If a query has no match with a position.
+    """
+    answers = _Answers.of(cases, calibration.sharpness)
+    sure = [confidence(Evidence(*row), calibration) for row in answers.evidence]
+    return answers.predictions(np.array(sure), calibration.radius)
 
 
-def reliability(judged: Predictions) -> list[Bin | None]:
+def fit_logistic(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[float, Numbers]:
+    """Bias and weights, none negative, of the logistic model with the least loss.
+
+    Args:
+        evidence: `[cases, 4]` in the order of `Evidence`.
+        right: `[cases]`
+        weight: `[cases]`, above 0; only their ratios count.
+
+    Returns:
+        The bias, and the weights `[4]` of top, gap, spread and vote fraction; the spread's counts downwards.
+
+    Raises:
+        BenchmarkError: If all cases are right, or none is.
+    """
+    if not right.any() or right.all():
+        raise BenchmarkError(
+            "every place found is right, or every one wrong: a calibration needs some of both"
+        )
+    signed = evidence * SIGNS
+    mean, scale = signed.mean(axis=0), np.maximum(signed.std(axis=0), 1e-6)
+    rows = np.column_stack([np.ones(len(right)), (signed - mean) / scale])
+    weight = weight / weight.mean()
+
+    def loss(at: Numbers) -> tuple[float, Numbers]:
+        z = rows @ at
+        slope = rows.T @ (weight * (expit(z) - right)) + _RIDGE * at
+        return float(weight @ np.logaddexp(0, np.where(right, -z, z)) + _RIDGE @ at**2 / 2), slope
+
+    # A convex loss in a box has one optimum. The usual tolerances stop where the fifth digit is still open, and a
+    # calibration is kept to four decimals: so go on until float64 can tell no two losses apart.
+    found = minimize(
+        loss,
+        np.zeros(5),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(None, None), *[(0, None)] * 4],
+        options={"ftol": 0, "gtol": 1e-10},
+    ).x
+    weights = found[1:] / scale
+    return float(found[0] - weights @ mean), weights
+
+
+def reliability(judged: Predictions) -> list[ReliabilityBin | None]:
     """How often what is so sure is right, in `BINS` steps of confidence; None for a step without a case."""
-    step = np.minimum((judged.confidence * BINS).astype(int), BINS - 1)
-    return [_bin(judged, step == number) for number in range(BINS)]
-
-
-def _bin(judged: Predictions, here: Flags) -> Bin | None:
-    if not here.any():
-        return None
-    weight = judged.weight[here]
-    sure, right = (np.average(values[here], weights=weight) for values in (judged.confidence, judged.right))
-    return Bin(int(here.sum()), float(weight.sum() / judged.weight.sum()), float(sure), float(right))
+    step_of = np.minimum((judged.confidence * BINS).astype(int), BINS - 1)
+    bins: list[ReliabilityBin | None] = []
+    for step in range(BINS):
+        here = step_of == step
+        if not here.any():
+            bins.append(None)
+            continue
+        weight = judged.weight[here]
+        sure, right = (
+            float(np.average(values[here], weights=weight)) for values in (judged.confidence, judged.right)
+        )
+        bins.append(ReliabilityBin(int(here.sum()), float(weight.sum() / judged.weight.sum()), sure, right))
+    return bins
 
 
 def calibration_error(judged: Predictions) -> float:
-    """Expected calibration error: how far confidence and share of right ones are apart, on average."""
+    """Expected calibration error: how far confidence and the part that is right are apart, on average."""
     return sum(one.weight * abs(one.confidence - one.right) for one in reliability(judged) if one)
 
 
 def log_loss(judged: Predictions) -> float:
     """Mean surprise at the truth, in nats; confidence that is always right has none."""
     given = np.where(judged.right, judged.confidence, 1 - judged.confidence)
+    # Sure and wrong would cost infinitely much: at most 28 nats a case.
     return float(-np.average(np.log(np.clip(given, 1e-12, 1)), weights=judged.weight))
 
 
 def threshold(judged: Predictions, precision: float) -> float:
-    """The lowest confidence from which on that share is right; the highest there is where none does it."""
+    """The lowest confidence from which on so many are right; the highest there is where none does it."""
     order = np.argsort(-judged.confidence, kind="stable")
     sure, weight = judged.confidence[order], judged.weight[order]
     reached = np.cumsum(weight * judged.right[order]) / np.cumsum(weight)
@@ -210,16 +225,8 @@ def threshold(judged: Predictions, precision: float) -> float:
     return float(sure[good[-1]]) if len(good) else float(sure[0])
 
 
-def _holding(seen: _Seen, answered: Flags) -> float:
-    """The factor by which the radius holds the truth in `HELD` of the answers."""
-    off, weight = seen.error_m[answered] / seen.scatter_m[answered], seen.weight[answered]
-    order = np.argsort(off)
-    enough = np.cumsum(weight[order]) >= HELD * weight.sum() * (1 - 1e-9)
-    return float(off[order][np.argmax(enough)])
-
-
-class _Seen(NamedTuple):
-    """What the first place of each case is like."""
+class _Answers(NamedTuple):
+    """The first place of each case, before anybody says how sure it is."""
 
     evidence: Numbers
     right: Flags
@@ -227,43 +234,48 @@ class _Seen(NamedTuple):
     scatter_m: Numbers
     weight: Numbers
 
-    def judged(self, sure: Numbers, radius: float = 1.0) -> Predictions:
+    @classmethod
+    def of(cls, cases: Sequence[Case], sharpness: float) -> _Answers:
+        """What the matches of each case vote for at this sharpness."""
+        first = []
+        for case in cases:
+            place = next(candidates(case.matches, radius_m=RADIUS_M, sharpness=sharpness), None)
+            if place is None:
+                raise BenchmarkError(
+                    "a query found no photo with a position: give every photo of the index one"
+                )
+            first.append(place)
+        error = np.array(
+            [
+                np.inf if case.truth is None else metres_between(case.truth, place.where)
+                for case, place in zip(cases, first, strict=True)
+            ]
+        )
+        return cls(
+            np.array([place.evidence for place in first]),
+            error <= RADIUS_M,
+            error,
+            np.array([place.scatter_m for place in first]),
+            np.array([case.weight for case in cases]),
+        )
+
+    def predictions(self, sure: Numbers, radius: float = 1.0) -> Predictions:
+        """These places with a confidence for each, their radius so many times their scatter."""
         return Predictions(sure, self.right, self.error_m, radius * self.scatter_m, self.weight)
 
+    def out_of_fold(self, folds: npt.NDArray[np.int64]) -> Numbers:
+        """The confidence of each case by a fit to the other folds."""
+        sure = np.empty(len(folds))
+        for fold in range(FOLDS):
+            here = folds == fold
+            bias, weights = fit_logistic(self.evidence[~here], self.right[~here], self.weight[~here])
+            sure[here] = expit(bias + (self.evidence[here] * SIGNS) @ weights)
+        return sure
 
-def _seen(cases: Sequence[Case], sharpness: float) -> _Seen:
-    found = [next(candidates(case.matches, radius_m=RADIUS_M, sharpness=sharpness), None) for case in cases]
-    first = [one for one in found if one is not None]
-    if len(first) < len(cases):
-        raise BenchmarkError("a query found no photo with a position: give every photo of the index one")
-    error = np.array([_error(case, one) for case, one in zip(cases, first, strict=True)])
-    return _Seen(
-        np.array([one.evidence for one in first]),
-        error <= RADIUS_M,
-        error,
-        np.array([one.scatter_m for one in first]),
-        np.array([case.weight for case in cases]),
-    )
-
-
-def _error(case: Case, one: Candidate) -> float:
-    return np.inf if case.truth is None else metres_between(case.truth, one.where)
-
-
-def _folds(places: Sequence[str], seed: int) -> npt.NDArray[np.int64]:
-    """The fold of each case, `[cases]`; those of one place are in one."""
-    names = sorted(set(places))
-    if len(names) < FOLDS:
-        raise BenchmarkError(f"there are queries of {len(names)} places: give at least {FOLDS}")
-    drawn = dict(zip(names, np.random.default_rng(seed).permutation(len(names)) % FOLDS, strict=True))
-    return np.array([drawn[place] for place in places])
-
-
-def _out_of_fold(seen: _Seen, apart: npt.NDArray[np.int64]) -> Numbers:
-    """The confidence of each case by a fit to the other folds."""
-    sure = np.empty(len(apart))
-    for fold in range(FOLDS):
-        here = apart == fold
-        bias, weights = fit(seen.evidence[~here], seen.right[~here], seen.weight[~here])
-        sure[here] = 1 / (1 + np.exp(-(bias + (seen.evidence[here] * SIGNS) @ weights)))
-    return sure
+    def radius_factor(self, answered: Flags) -> float:
+        """The least factor by which the radius holds the truth in `RADIUS_COVERAGE` of the answers."""
+        off, weight = self.error_m[answered] / self.scatter_m[answered], self.weight[answered]
+        order = np.argsort(off)
+        # A sum of weights may fall short of what it should be by a rounding: one more answer is not needed for that.
+        enough = np.cumsum(weight[order]) >= RADIUS_COVERAGE * weight.sum() * (1 - 1e-9)
+        return float(off[order][np.argmax(enough)])

@@ -6,19 +6,47 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from salad.errors import PhotoError
 from salad.images.decode import Pixels
 from salad.images.workers import Here, in_order, reader_for, workers
-from salad.index.index import Index, Match
 from salad.localize.voting import GENERIC, RADIUS_M, Place, Voting, vote
 from salad.network.config import Calibration
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from salad.index.index import Match
     from salad.models.describer import Describes
     from salad.network.config import Preprocessing
     from salad.search.filters import Filter
+
+
+class PhotoIndex(Protocol):
+    """What `locate` asks of an index: `salad.Index`, or anything that answers the same two questions."""
+
+    def check_model(self, model: Describes) -> None:
+        """Make sure that `model` is the one the index was made with.
+
+        Raises:
+            WrongModelError: If it is another.
+        """
+        ...
+
+    def search(
+        self, descriptors: npt.NDArray[np.float32], *, k: int, where: Filter | None, centred: bool
+    ) -> list[list[Match]]:
+        """The best k matches of each query, best first, of the photos that `where` lets through.
+
+        Args:
+            descriptors: `[Q, dim]`
+            k: How many; a smaller index gives fewer.
+            where: Which photos may be found; all where None.
+            centred: Whether scores leave out what all photos of the index have in common.
+        """
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,21 +71,32 @@ class Answer:
         return {
             "query": str(self.query),
             "place": self.place.as_dict() if self.place else None,
-            "matches": [_match_dict(match) for match in self.matches],
+            "matches": [
+                {
+                    "path": str(match.photo.path),
+                    "score": match.score,
+                    "lat": match.photo.where.lat if match.photo.where else None,
+                    "lon": match.photo.where.lon if match.photo.where else None,
+                    "heading": match.photo.heading,
+                    "time": match.photo.time.isoformat() if match.photo.time else None,
+                }
+                for match in self.matches
+            ],
             "others": [place.as_dict() for place in self.others],
         }
 
 
 def calibration_of(model: Describes) -> Calibration:
     """What the model's scores are worth; a generic guess where nobody has measured that."""
-    own = getattr(model, "calibration", None)  # not every describer has one
+    # By name, since not every describer has one: the name is part of what a model offers, and must stay.
+    own = getattr(model, "calibration", None)
     return own if isinstance(own, Calibration) else GENERIC
 
 
 def locate(
     query: str | Path,
     *,
-    index: Index,
+    index: PhotoIndex,
     model: Describes,
     k: int = 5,
     where: Filter | None = None,
@@ -98,7 +137,7 @@ def locate(
 def locate_many(
     queries: Sequence[Path],
     *,
-    index: Index,
+    index: PhotoIndex,
     model: Describes,
     k: int = 5,
     where: Filter | None = None,
@@ -128,23 +167,25 @@ def locate_many(
         WrongModelError: If the index was made with another model.
     """
     index.check_model(model)
-    by = calibration_of(model)
-    least = by.min_confidence if min_confidence is None else min_confidence
+    calibration = calibration_of(model)
+    limit = calibration.min_confidence if min_confidence is None else min_confidence
     to = model.preprocessing
     with workers() as pool, reader_for(len(queries)) as reader:
+        # Two batches are decoded ahead, so that the model never waits for photos, and no more, so that memory is small.
         decoded = in_order(pool, lambda path: _decoded(reader, path, to), queries, ahead=2 * batch_size)
         readable = _readable(decoded, on_unreadable)
         while batch := list(islice(readable, batch_size)):
             descriptors = model.describe([pixels for _, pixels in batch], batch_size=batch_size)
-            found = index.search(descriptors, k=k, where=where, centred=by.centred)
+            found = index.search(descriptors, k=k, where=where, centred=calibration.centred)
             for (query, _), matches in zip(batch, found, strict=True):
-                yield _answer(query, matches, voting(matches, radius_m=radius_m, calibration=by), least)
+                places = voting(matches, radius_m=radius_m, calibration=calibration)
+                if places and places[0].confidence >= limit:
+                    yield Answer(query, places[0], matches, places[1:])
+                else:  # what was not sure enough still leads the others
+                    yield Answer(query, None, matches, places)
 
 
-def _answer(query: Path, matches: list[Match], places: list[Place], least: float) -> Answer:
-    if places and places[0].confidence >= least:
-        return Answer(query, places[0], matches, places[1:])
-    return Answer(query, None, matches, places)
+# A photo that cannot be read must not end the pass over all others: so its error comes along in its place.
 
 
 def _decoded(reader: Here, path: Path, to: Preprocessing) -> tuple[Path, Pixels | PhotoError]:
@@ -164,15 +205,3 @@ def _readable(
             raise pixels
         else:
             on_unreadable(str(pixels))
-
-
-def _match_dict(match: Match) -> dict[str, Any]:
-    photo = match.photo
-    return {
-        "path": str(photo.path),
-        "score": match.score,
-        "lat": photo.where.lat if photo.where else None,
-        "lon": photo.where.lon if photo.where else None,
-        "heading": photo.heading,
-        "time": photo.time.isoformat() if photo.time else None,
-    }

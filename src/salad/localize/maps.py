@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -17,13 +17,30 @@ if TYPE_CHECKING:
     from salad.localize.voting import Place
 
 
-CORNERS = 32  # of the polygon that stands for a circle
+CORNERS = 32  # of the polygon that stands for a circle: neither format has circles
 _NOT_XML = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def as_geojson(answers: Sequence[Answer]) -> str:
     """Each place as a point, its radius as a polygon, a line to each match; unknown is without geometry."""
-    features = [feature for answer in answers for feature in _features(answer)]
+    features: list[dict[str, Any]] = []
+    for answer in answers:
+        query, place = str(answer.query), answer.place
+        if place is None:
+            features.append(_feature(None, None, query=query, kind="unknown"))
+            continue
+        here = _lon_lat(place.where, place.where)
+        known = {"radius_m": place.radius_m, "confidence": place.confidence, "support": place.support}
+        features.append(_feature("Point", here, query=query, kind="place", **known))
+        ring = [_lon_lat(corner, place.where) for corner in _ring(place)]
+        features.append(_feature("Polygon", [ring], query=query, kind="radius"))
+        for match in answer.matches:
+            if match.photo.where is not None:
+                line = [here, _lon_lat(match.photo.where, place.where)]
+                name, score = str(match.photo.path), match.score
+                features.append(
+                    _feature("LineString", line, query=query, kind="match", match=name, score=score)
+                )
     return json.dumps({"type": "FeatureCollection", "features": features}, ensure_ascii=False, indent=2)
 
 
@@ -35,7 +52,20 @@ def as_kml(answers: Sequence[Answer]) -> str:
         folder = ElementTree.SubElement(document, "Folder")
         _put(folder, "name", answer.query.name)
         _put(folder, "description", str(answer.query))
-        _draw(folder, answer)
+        place = answer.place
+        if place is None:
+            _put(ElementTree.SubElement(folder, "Placemark"), "name", "unknown")
+            continue
+        known = f"confidence {place.confidence:.2f}, within {place.radius_m:.0f} m, {place.support} matches"
+        _put(_placemark(folder, answer.query.name, known, "Point"), "coordinates", _kml(place.where))
+        circle = _placemark(folder, "radius", f"{place.radius_m:.1f} m", "Polygon")
+        outer = ElementTree.SubElement(ElementTree.SubElement(circle, "outerBoundaryIs"), "LinearRing")
+        _put(outer, "coordinates", *map(_kml, _ring(place)))
+        for match in answer.matches:
+            if match.photo.where is not None:
+                score = f"score {match.score:.4f}"
+                line = _placemark(folder, match.photo.path.name, score, "LineString")
+                _put(line, "coordinates", _kml(place.where), _kml(match.photo.where))
     return _as_text(root)
 
 
@@ -43,52 +73,43 @@ def as_gpx(answers: Sequence[Answer], times: Sequence[datetime | None]) -> str:
     """A track through the places found, unknown ones left out.
 
     Args:
-        answers: in the order given.
-        times: of each query. Where all that are placed have one the track is in the order of time, else in the
+        answers: In the order given.
+        times: Of each query. Where all that are placed have one the track is in the order of time, else in the
             order given. A time without a zone is written without one, and compared as if it were UTC.
     """
-    stops = [(answer, time) for answer, time in zip(answers, times, strict=True) if answer.place]
-    dated = [(stop, time) for stop, time in stops if time is not None]
+    stops = [
+        (answer.query.name, answer.place, time)
+        for answer, time in zip(answers, times, strict=True)
+        if answer.place
+    ]
+    dated = [(_utc(time), number) for number, (_, _, time) in enumerate(stops) if time is not None]
     if len(dated) == len(stops):
-        stops = sorted(dated, key=lambda stop: _utc(stop[1]))  # type: ignore[arg-type]  # all have a time here
+        stops = [stops[number] for _, number in sorted(dated)]
     root = ElementTree.Element(
         "gpx", version="1.1", creator="salad", xmlns="http://www.topografix.com/GPX/1/1"
     )
     track = ElementTree.SubElement(ElementTree.SubElement(root, "trk"), "trkseg")
-    for answer, time in stops:
-        if answer.place:
-            _stop(track, answer.query.name, answer.place, time)
+    for name, place, time in stops:
+        lon = round(place.where.lon, 9)
+        lon = -180.0 if lon == 180 else lon  # GPX ends just below 180
+        point = ElementTree.SubElement(track, "trkpt", lat=f"{place.where.lat:.9f}", lon=f"{lon:.9f}")
+        if time is not None:
+            # Whoever knows the zone gets UTC with a Z, which all readers take; who does not must not be told one.
+            zoned = time.tzinfo is not None
+            _put(point, "time", _utc(time).isoformat()[:-6] + "Z" if zoned else time.isoformat())
+        _put(point, "name", name)
     return _as_text(root)
 
 
-# --- GeoJSON -------------------------------------------------------------------------------
-
-
-def _features(answer: Answer) -> Iterator[dict[str, Any]]:
-    told = answer.as_dict()
-    place, query = answer.place, told["query"]
-    if place is None:
-        yield _feature(None, None, {"query": query, "kind": "unknown"})
-        return
-    facts = {key: told["place"][key] for key in ("radius_m", "confidence", "support")}
-    yield _feature("Point", _beside(place.where, place.where), {"query": query, "kind": "place", **facts})
-    ring = [_beside(place.where, corner) for corner in _ring(place)]
-    yield _feature("Polygon", [ring], {"query": query, "kind": "radius"})
-    for match in answer.matches:
-        if match.photo.where is not None:
-            line = [_beside(place.where, end) for end in (place.where, match.photo.where)]
-            facts = {"match": str(match.photo.path), "score": match.score}
-            yield _feature("LineString", line, {"query": query, "kind": "match", **facts})
-
-
-def _feature(kind: str | None, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:
-    geometry = None if kind is None else {"type": kind, "coordinates": coordinates}
+def _feature(shape: str | None, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    geometry = None if shape is None else {"type": shape, "coordinates": coordinates}
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-def _beside(middle: GeoPoint, point: GeoPoint) -> list[float]:
-    """Longitude and latitude as GeoJSON has them; what crosses the date line runs on over it, uncut."""
-    return [point.lon + 360 * round((middle.lon - point.lon) / 360), point.lat]
+def _lon_lat(point: GeoPoint, near: GeoPoint) -> list[float]:
+    """Longitude and latitude as GeoJSON has them; beyond 180 degrees where the date line lies between the two."""
+    # RFC 7946 would have such a shape cut in two; maps draw it whole where its longitudes run on.
+    return [point.lon + 360 * round((near.lon - point.lon) / 360), point.lat]
 
 
 def _ring(place: Place) -> list[GeoPoint]:
@@ -100,43 +121,16 @@ def _ring(place: Place) -> list[GeoPoint]:
     return [*ring, ring[0]]
 
 
-# --- KML and GPX ---------------------------------------------------------------------------
-
-
-def _draw(folder: ElementTree.Element, answer: Answer) -> None:
-    place = answer.place
-    if place is None:
-        _put(ElementTree.SubElement(folder, "Placemark"), "name", "unknown")
-        return
-    told = f"confidence {place.confidence:.2f}, within {place.radius_m:.0f} m, {place.support} matches"
-    _put(_mark(folder, answer.query.name, told, "Point"), "coordinates", _kml(place.where))
-    circle = _mark(folder, "radius", f"{place.radius_m:.1f} m", "Polygon")
-    outer = ElementTree.SubElement(ElementTree.SubElement(circle, "outerBoundaryIs"), "LinearRing")
-    _put(outer, "coordinates", *map(_kml, _ring(place)))
-    for match in answer.matches:
-        if match.photo.where is not None:
-            line = _mark(folder, match.photo.path.name, f"score {match.score:.4f}", "LineString")
-            _put(line, "coordinates", _kml(place.where), _kml(match.photo.where))
-
-
-def _mark(folder: ElementTree.Element, name: str, told: str, kind: str) -> ElementTree.Element:
+def _placemark(folder: ElementTree.Element, name: str, description: str, kind: str) -> ElementTree.Element:
+    """A named place in a folder; its geometry, which is of that kind, is for the caller to fill."""
     mark = ElementTree.SubElement(folder, "Placemark")
     _put(mark, "name", name)
-    _put(mark, "description", told)
+    _put(mark, "description", description)
     return ElementTree.SubElement(mark, kind)
 
 
 def _kml(point: GeoPoint) -> str:
     return f"{point.lon:.9f},{point.lat:.9f}"  # 0.1 mm
-
-
-def _stop(track: ElementTree.Element, name: str, place: Place, time: datetime | None) -> None:
-    lon = round(place.where.lon, 9)
-    lon = -180.0 if lon == 180 else lon  # GPX ends just below 180
-    point = ElementTree.SubElement(track, "trkpt", lat=f"{place.where.lat:.9f}", lon=f"{lon:.9f}")
-    if time is not None:
-        _put(point, "time", time.isoformat() if time.tzinfo is None else _utc(time).isoformat()[:-6] + "Z")
-    _put(point, "name", name)
 
 
 def _utc(time: datetime) -> datetime:
