@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from salad.datasets.cluster import Found, find_cells
+from salad.datasets.cluster import Clustering, find_cells
 from salad.datasets.neighbours import squares
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, centre, metres_between, shifted, to_utm
@@ -41,7 +41,7 @@ def spot(name: str, where: GeoPoint, *headings: float | None) -> list[Photo]:
     ]
 
 
-def names(found: Found) -> list[set[str]]:
+def names(found: Clustering) -> list[set[str]]:
     return [{photo.path.name[0] for photo in place.photos} for place in found.places]
 
 

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
+from salad.datasets.cluster import Cell
 from salad.datasets.places import COLUMNS, find_places, write_places
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between
 from salad.images.photo import Photo, PhotoTable
-
-
-@dataclass(frozen=True)
-class Shown:
-    name: str
-    city: str
-    photos: tuple[Photo, ...]
 
 
 def photos_in(folder: Path, names: list[str]) -> list[Path]:
@@ -35,10 +28,9 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     outside = photos_in(tmp_path / "elsewhere", ["e.jpg", "f.jpg", "g.jpg", "h.jpg"])
     where = GeoPoint(48.1234567, -11.5)
     times = [None, datetime(2020, 1, 2, 3, 4, 5), datetime(2021, 1, 1, tzinfo=UTC), datetime(2022, 1, 1)]
-    one = Shown(
-        "p", "x", tuple(Photo(path, where, 90.0, time) for path, time in zip(inside, times, strict=True))
-    )
-    two = Shown("p", "y", tuple(Photo(path) for path in outside))
+    dated = tuple(Photo(path, where, 90.0, time) for path, time in zip(inside, times, strict=True))
+    one = Cell("p", "x", dated, where)
+    two = Cell("p", "y", tuple(Photo(path) for path in outside), where)
     to = tmp_path / "set" / "places.csv"
     write_places([one, two], to)
     found = find_places(to)
@@ -61,7 +53,7 @@ def test_it_is_a_table_of_photos_too(tmp_path: Path) -> None:
     when = datetime(2020, 1, 2, 3, 4, 5)
     where = GeoPoint(1.0, 2.0)
     write_places(
-        [Shown("p", "x", tuple(Photo(path, where, 90.0, when) for path in paths))], tmp_path / "t.csv"
+        [Cell("p", "x", tuple(Photo(path, where, 90.0, when) for path in paths), where)], tmp_path / "t.csv"
     )
     told = PhotoTable.read(tmp_path / "t.csv").get(paths[2])
     assert told is not None

@@ -14,7 +14,7 @@ from salad.cli.arguments import Form, Photos, Table
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
-    from salad.datasets.cluster import Found, Reason
+    from salad.datasets.cluster import Clustering, Reason
     from salad.images.photo import Photo, PhotoTable
 
 
@@ -96,7 +96,7 @@ class PlacesCommand:
         if self.to.is_dir() or not self.to.parent.is_dir():
             raise SaladError(f"--to {self.to} cannot be written: name a file in a folder that is there")
 
-    def _tell(self, found: Found) -> None:
+    def _tell(self, found: Clustering) -> None:
         for sentence in shell.some(found.trouble, what="cannot be read"):
             shell.say(sentence)
         told = found.as_dict()

@@ -7,8 +7,7 @@ places show the same thing under two names.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,8 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from salad.datasets.neighbours import Neighbours, squares
-from salad.datasets.places import clock
-from salad.datasets.training_place import FEWEST, TrainingPlace
+from salad.datasets.training_place import FEWEST, TrainingPlace, clock
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, centre
 from salad.images.photo import Photo
@@ -33,10 +31,10 @@ class Cell:
     """A place with all that is known of its photos.
 
     Attributes:
-        name: where it is, to 10 cm, and which way it looks, in degrees from north, or `any`.
-        city: about where its city is; places that hang together by steps of 10 km or so are of one city.
-        photos: oldest first.
-        where: the middle of where they were taken.
+        name: Where it is, to 10 cm, and which way it looks, in degrees from north, or `any`.
+        city: About where its city is; places that hang together by steps of 10 km or so are of one city.
+        photos: Oldest first.
+        where: The middle of where they were taken.
     """
 
     name: str
@@ -51,13 +49,13 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Clustering:
     """What became of photos.
 
     Attributes:
-        places: in order from south to north, then from west to east.
-        left_out: the photos that are in none of them, by reason; every reason is there.
-        trouble: a sentence for each photo that cannot be read.
+        places: In order from south to north, then from west to east.
+        left_out: The photos that are in none of them, by reason; every reason is there.
+        trouble: A sentence for each photo that cannot be read.
     """
 
     places: tuple[Cell, ...]
@@ -85,36 +83,55 @@ def find_cells(
     fewest: int = FEWEST,
     apart_m: float = 100.0,
     unreadable: Unreadable | None = None,
-) -> Found:
+) -> Clustering:
     """The places that photos show.
 
     Args:
-        photos: each once; those without a heading make cells of their own.
-        side_m: metres along a side of a square.
-        turn: degrees of the compass that count as looking the same way; 360 for no matter.
-        fewest: photos of a place, at least; not below `FEWEST`, for training would leave them out.
-        apart_m: metres between two places, at least; 0 keeps all of them, for a sampler that keeps the distance.
-        unreadable: which of the photos that would be used cannot be read, with a sentence for each; all are trusted
+        photos: Each once; those without a heading make cells of their own.
+        side_m: Metres along a side of a square.
+        turn: Degrees of the compass that count as looking the same way; 360 for no matter.
+        fewest: Photos of a place, at least; not below `FEWEST`, for training would leave them out.
+        apart_m: Metres between two places, at least; 0 keeps all of them, for a sampler that keeps the distance.
+        unreadable: Which of the photos that would be used cannot be read, with a sentence for each; all are trusted
             where it is not given.
 
     Raises:
-        BenchmarkError: a number makes no sense.
+        BenchmarkError: If a number makes no sense.
     """
-    _check(side_m=side_m, turn=turn, fewest=fewest, apart_m=apart_m)
+    for what, value, sound in (
+        ("a square's side in metres", side_m, 1 <= side_m <= 1e5),
+        ("a turn in degrees", turn, 1 <= turn <= 360),
+        ("the fewest photos of a place", fewest, fewest >= FEWEST),
+        ("metres between places", apart_m, 0 <= apart_m <= 1e5),
+    ):
+        if not sound:
+            raise BenchmarkError(f"{value:g} makes no sense for {what}: see 'salad places --help'")
     cells, few = _enough(_cells(photos, side_m, turn), fewest)
+    # Opening photos takes the time here, so that only those are opened whose cell would be a place.
     bad = unreadable([photo.path for cell in cells.values() for photo in cell]) if unreadable else {}
-    sound = {key: [photo for photo in cell if photo.path not in bad] for key, cell in cells.items()}
-    cells, fewer = _enough(sound, fewest)
-    places = _named(cells)
-    kept = _thinned(places, apart_m)
-    near = [photo.path for number, place in enumerate(places) if number not in kept for photo in place.photos]
-    return Found(
+    readable = {key: [photo for photo in cell if photo.path not in bad] for key, cell in cells.items()}
+    cells, fewer = _enough(readable, fewest)
+    middles = [centre([photo.where for photo in cell if photo.where is not None]) for cell in cells.values()]
+    places = [
+        Cell(f"{middle.lat:.6f}_{middle.lon:.6f}_{way}", city, tuple(cell), middle)
+        for ((_, _, way), cell), middle, city in zip(cells.items(), middles, _cities(middles), strict=True)
+    ]
+    # Of places too near to one another the one with more photos stays.
+    near = Neighbours(middles, apart_m)
+    kept: set[int] = set()
+    for number in sorted(range(len(places)), key=lambda number: -len(places[number].photos)):
+        if kept.isdisjoint(near.of(number).tolist()):
+            kept.add(number)
+    thinned = [
+        photo.path for number, place in enumerate(places) if number not in kept for photo in place.photos
+    ]
+    return Clustering(
         tuple(place for number, place in enumerate(places) if number in kept),
         {
             "no position": tuple(photo.path for photo in photos if photo.where is None),
             "unreadable": tuple(bad),
             "too few in their cell": tuple(few + fewer),
-            "too near another place": tuple(near),
+            "too near another place": tuple(thinned),
         },
         tuple(bad.values()),
     )
@@ -154,62 +171,34 @@ def _enough(cells: Mapping[Key, list[Photo]], fewest: int) -> tuple[dict[Key, li
     return kept, [photo.path for key, cell in cells.items() if key not in kept for photo in cell]
 
 
-def _named(cells: Mapping[Key, list[Photo]]) -> list[Cell]:
-    middles = [centre([photo.where for photo in cell if photo.where is not None]) for cell in cells.values()]
-    named = zip(cells.items(), middles, _cities(middles), strict=True)
-    return [
-        Cell(f"{middle.lat:.6f}_{middle.lon:.6f}_{way}", city, tuple(cell), middle)
-        for ((_, _, way), cell), middle, city in named
-    ]
-
-
-def _thinned(places: Sequence[Cell], apart_m: float) -> set[int]:
-    """Which places stay, those with more photos first, so that none is nearer than `apart_m` to another."""
-    near = Neighbours([place.where for place in places], apart_m)
-    kept: set[int] = set()
-    for number in sorted(range(len(places)), key=lambda number: -len(places[number].photos)):
-        if kept.isdisjoint(near.of(number).tolist()):
-            kept.add(number)
-    return kept
-
-
 def _cities(points: Sequence[GeoPoint]) -> list[str]:
     """A city's name for each point: latitude and longitude of the middle of its southernmost part."""
-    lat = np.array([point.lat for point in points], dtype=np.float64)
-    lon = np.array([point.lon for point in points], dtype=np.float64)
+    # Imported here, as in `neighbours`.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    # Parts of cities first, squares of 10 km: there are few of them however many points there are.
     parts: dict[tuple[int, int], list[int]] = {}
-    rows, columns = squares(lat, lon, _CITY_M)
+    rows, columns = squares(
+        np.array([point.lat for point in points], dtype=np.float64),
+        np.array([point.lon for point in points], dtype=np.float64),
+        _CITY_M,
+    )
     for number, square in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
         parts.setdefault(square, []).append(number)
     members = [parts[square] for square in sorted(parts)]
     middles = [centre([points[number] for number in part]) for part in members]
+    near = Neighbours(middles, 1.5 * _CITY_M)
+    pairs = np.array(
+        [(part, other) for part in range(len(members)) for other in near.of(part)], dtype=np.int64
+    )
+    one, other = pairs.reshape(-1, 2).T
+    steps = coo_array((np.ones(len(one)), (one, other)), shape=(len(members), len(members)))
+    _, city_of = connected_components(steps, directed=False)
+    _, southernmost = np.unique(city_of, return_index=True)
     names = [""] * len(points)
-    for city in _together(Neighbours(middles, 1.5 * _CITY_M), len(middles)):
-        for number in itertools.chain.from_iterable(members[part] for part in city):
-            names[number] = f"{middles[city[0]].lat:.2f}_{middles[city[0]].lon:.2f}"
+    for part, city in zip(members, city_of.tolist(), strict=True):
+        first = middles[southernmost[city]]
+        for number in part:
+            names[number] = f"{first.lat:.2f}_{first.lon:.2f}"
     return names
-
-
-def _together(near: Neighbours, count: int) -> Iterable[list[int]]:
-    """Points that hang together by steps from one to a near one, in ascending order."""
-    left = set(range(count))
-    while left:
-        reached = {min(left)}
-        edge = list(reached)
-        while edge:
-            fresh = set(near.of(edge.pop()).tolist()) - reached
-            reached |= fresh
-            edge += fresh
-        left -= reached
-        yield sorted(reached)
-
-
-def _check(*, side_m: float, turn: float, fewest: int, apart_m: float) -> None:
-    for what, value, sound in (
-        ("a square's side in metres", side_m, 1 <= side_m <= 1e5),
-        ("a turn in degrees", turn, 1 <= turn <= 360),
-        ("the fewest photos of a place", fewest, fewest >= FEWEST),
-        ("metres between places", apart_m, 0 <= apart_m <= 1e5),
-    ):
-        if not sound:
-            raise BenchmarkError(f"{value:g} makes no sense for {what}: see 'salad places --help'")

@@ -21,11 +21,19 @@ SIDES = (  # what people call the folders of references and of queries
 )
 
 
+def names_in(folder: Path) -> frozenset[str]:
+    """What a folder holds; nothing where there is no such folder."""
+    try:
+        return frozenset(os.listdir(folder))  # noqa: PTH208  # names, not a Path for each
+    except OSError:
+        return frozenset()
+
+
 def names_below(folder: Path) -> list[str]:
     """The photos below a folder, as paths below it with `/`, in order; hidden ones are left out.
 
     Raises:
-        BenchmarkError: the folder cannot be read or holds no photo.
+        BenchmarkError: If the folder cannot be read or holds no photo.
     """
     names: list[str] = []
     seen: set[str] = set()
@@ -33,39 +41,33 @@ def names_below(folder: Path) -> list[str]:
     while waiting:
         below = waiting.pop()
         real = os.path.realpath(folder / below)
-        if real not in seen:  # a link may lead in a circle
-            seen.add(real)
-            waiting += _listed(folder, below, names)
+        if real in seen:  # a link may lead in a circle
+            continue
+        seen.add(real)
+        try:
+            with os.scandir(folder / below) as entries:
+                for entry in entries:
+                    if entry.name.startswith("."):
+                        continue
+                    if os.path.splitext(entry.name)[1].lower() in SUFFIXES:  # noqa: PTH122  # a Path for each is slow
+                        names.append(below + entry.name)
+                    elif entry.is_dir():
+                        waiting.append(f"{below}{entry.name}/")
+        except OSError as error:
+            raise BenchmarkError(
+                f"the folder {error.filename} cannot be read ({error.strerror}): name another, or mend its rights"
+            ) from error
     if not names:
         raise BenchmarkError(f"{folder} holds no photos: none of its files ends in .jpg, .png or the like")
     return sorted(names)
-
-
-def _listed(folder: Path, below: str, names: list[str]) -> list[str]:
-    """Add a folder's photos to the names; the folders in it."""
-    inner: list[str] = []
-    try:
-        with os.scandir(folder / below) as entries:
-            for entry in entries:
-                if entry.name.startswith("."):
-                    continue
-                if os.path.splitext(entry.name)[1].lower() in SUFFIXES:  # noqa: PTH122  # a Path for each is slow
-                    names.append(below + entry.name)
-                elif entry.is_dir():
-                    inner.append(f"{below}{entry.name}/")
-    except OSError as error:
-        raise BenchmarkError(
-            f"the folder {error.filename} cannot be read ({error.strerror}): name another, or mend its rights"
-        ) from error
-    return inner
 
 
 def two_folders(references: Path, queries: Path) -> tuple[list[Path], list[Path]]:
     """List both folders' photos; a photo in both would find itself and lift every figure.
 
     Raises:
-        BenchmarkError: a photo is in both.
-        PhotoError: a folder is missing or holds no photo.
+        BenchmarkError: If a photo is in both.
+        PhotoError: If a folder is missing or holds no photo.
     """
     reference_paths, query_paths = find_photos([references]), find_photos([queries])
     both = _real(reference_paths) & _real(query_paths)
@@ -84,22 +86,19 @@ def _real(paths: Iterable[Path]) -> set[str]:
     for path in paths:
         parent, name = os.path.split(path)
         if parent not in folders:
-            folders[parent] = os.path.realpath(parent), _links(parent)
+            with os.scandir(parent or ".") as entries:
+                links = frozenset(entry.name for entry in entries if entry.is_symlink())
+            folders[parent] = os.path.realpath(parent), links
         home, links = folders[parent]
         real.add(os.path.realpath(path) if name in links else os.path.join(home, name))  # noqa: PTH118  # plain strings
     return real
-
-
-def _links(folder: str) -> frozenset[str]:
-    with os.scandir(folder or ".") as entries:
-        return frozenset(entry.name for entry in entries if entry.is_symlink())
 
 
 def frame(name: str) -> int:
     """The last whole number in a photo's name, its suffix left aside.
 
     Raises:
-        BenchmarkError: there is none.
+        BenchmarkError: If there is none.
     """
     numbers = re.findall(r"[0-9]+", Path(name).stem)
     if not numbers:

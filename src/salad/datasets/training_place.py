@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from salad.errors import BenchmarkError
@@ -19,11 +19,11 @@ Say = Callable[[str], None]
 class TrainingPlace:
     """Photos of one place.
 
-    Args:
-        name: tells it from the other places of its city.
-        city: the set or the city it comes from.
-        photos: oldest first.
-        where: the middle of where its photos were taken, as far as that is known.
+    Attributes:
+        name: Tells it from the other places of its city.
+        city: The set or the city it comes from.
+        photos: Oldest first.
+        where: The middle of where its photos were taken, as far as that is known.
     """
 
     name: str
@@ -36,11 +36,11 @@ class TrainingPlace:
 class View:
     """One photo in a batch.
 
-    Args:
-        path: the photo.
-        label: which place of the batch it shows.
-        mirrored: whether it is to be mirrored; a mirrored place is a place of its own, mirrored in all its photos.
-        place: the place it shows, whose other photos may stand in for one that cannot be read.
+    Attributes:
+        path: The photo.
+        label: Which place of the batch it shows.
+        mirrored: Whether it is to be mirrored; a mirrored place is a place of its own, mirrored in all its photos.
+        place: The place it shows, whose other photos may stand in for one that cannot be read.
     """
 
     path: Path
@@ -57,33 +57,16 @@ def by_city(places: Sequence[TrainingPlace]) -> dict[str, list[int]]:
     return cities
 
 
-# --- Which of the photos that a table names are there: one look at a folder, not one at each of its photos ---
-
-
-class Listing:
-    """The names in folders, each folder listed once, when it is first asked for."""
-
-    def __init__(self) -> None:
-        self._names: dict[Path, frozenset[str]] = {}
-
-    def __contains__(self, path: Path) -> bool:
-        return path.name in self.names(path.parent)
-
-    def names(self, folder: Path) -> frozenset[str]:
-        """What a folder holds; nothing where there is no such folder."""
-        if folder not in self._names:
-            try:
-                self._names[folder] = frozenset(os.listdir(folder))  # noqa: PTH208  # names, not a Path for each
-            except OSError:
-                self._names[folder] = frozenset()
-        return self._names[folder]
+def clock(time: datetime | None) -> datetime:
+    """What to sort by: the time as clocks showed it, since some know their zone and some do not; none comes first."""
+    return datetime.min if time is None else time.replace(tzinfo=None)
 
 
 def tell_missing(table: Path, missing: list[Path], say: Say | None) -> None:
     """Say that a table names photos in vain, in one sentence; where nobody listens, refuse.
 
     Raises:
-        BenchmarkError: some are missing and `say` is None.
+        BenchmarkError: If some are missing and `say` is None.
     """
     if not missing:
         return

@@ -20,15 +20,16 @@ from typing import NamedTuple
 import numpy as np
 
 from salad.datasets.compact_lists import PhotoList, Ragged
+from salad.datasets.folders import names_in
 from salad.datasets.readers.base import Layout, Protocol, Sides
-from salad.datasets.training_place import FEWEST, Listing, Say, TrainingPlace, tell_missing
+from salad.datasets.training_place import FEWEST, Say, TrainingPlace, tell_missing
 from salad.errors import BenchmarkError, PositionError
 from salad.geo import GeoPoint, centre
 
 TABLES, PHOTOS = "Dataframes", "Images"
 
 
-class _Row(NamedTuple):
+class _GsvRow(NamedTuple):
     """One line of a table; by year and month, then by name, rows stand oldest first."""
 
     month: str
@@ -46,36 +47,35 @@ def read_gsv_cities(root: Path, *, say: Say | None = None) -> list[TrainingPlace
     """Every place of every city with at least `FEWEST` photos, cities in order of name.
 
     Args:
-        root: the folder that holds `Dataframes` and `Images`.
-        say: takes a sentence for each city that lacks photos its table names, which are then left out.
+        root: The folder that holds `Dataframes` and `Images`.
+        say: Takes a sentence for each city that lacks photos its table names, which are then left out.
 
     Raises:
-        BenchmarkError: a line of a table cannot be read; or, without `say`, a photo is missing.
+        BenchmarkError: If a line of a table cannot be read; or, without `say`, if a photo is missing.
     """
-    tables = sorted((root / TABLES).glob("*.csv"))
-    return [place for table in tables for place in _city(root, table, say)]
+    places: list[TrainingPlace] = []
+    for table in sorted((root / TABLES).glob("*.csv")):
+        folder = root / PHOTOS / table.stem
+        there = names_in(folder)
+        taken: dict[str, list[_GsvRow]] = defaultdict(list)
+        missing: list[Path] = []
+        for row in _rows(table):
+            # Some cities' photos end in capitals.
+            found = next((name for name in (f"{row.name}.jpg", f"{row.name}.JPG") if name in there), None)
+            if found is None:
+                missing.append(folder / f"{row.name}.jpg")
+            else:
+                taken[row.place].append(row._replace(name=found))
+        tell_missing(table, missing, say)
+        for name, rows in taken.items():
+            if len(rows) >= FEWEST:
+                photos = tuple(folder / row.name for row in sorted(rows, key=lambda row: row[:2]))
+                where = centre([row.where for row in rows])
+                places.append(TrainingPlace(name, f"{root.name}/{table.stem}", photos, where))
+    return places
 
 
-def _city(root: Path, table: Path, say: Say | None) -> Iterator[TrainingPlace]:
-    folder = root / PHOTOS / table.stem
-    there = Listing().names(folder)
-    taken: dict[str, list[_Row]] = defaultdict(list)
-    missing: list[Path] = []
-    for row in _rows(table):
-        found = next((name for name in (f"{row.name}.jpg", f"{row.name}.JPG") if name in there), None)
-        if found is None:
-            missing.append(folder / f"{row.name}.jpg")
-        else:
-            taken[row.place].append(row._replace(name=found))
-    tell_missing(table, missing, say)
-    for name, rows in taken.items():
-        if len(rows) >= FEWEST:
-            photos = tuple(folder / row.name for row in sorted(rows, key=lambda row: row[:2]))
-            where = centre([row.where for row in rows])
-            yield TrainingPlace(name, f"{root.name}/{table.stem}", photos, where)
-
-
-def _rows(table: Path) -> Iterator[_Row]:
+def _rows(table: Path) -> Iterator[_GsvRow]:
     with table.open(newline="", encoding="utf-8-sig") as file:
         lines = csv.DictReader(file)
         while True:
@@ -88,7 +88,7 @@ def _rows(table: Path) -> Iterator[_Row]:
                 raise BenchmarkError(f"{table}, line {number}: cannot be read ({error!r})") from error
 
 
-def _row(fields: dict[str, str]) -> _Row:
+def _row(fields: dict[str, str]) -> _GsvRow:
     month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
     # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
     lat, lon = fields["lat"], fields["lon"]
@@ -96,24 +96,24 @@ def _row(fields: dict[str, str]) -> _Row:
         f"{fields['city_id']}_{int(fields['place_id']):07d}_{month}_{int(fields['northdeg']):03d}_"
         f"{lat}_{lon}_{fields['panoid']}"
     )
-    return _Row(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
+    return _GsvRow(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
 
 
 def looked_for(_: Protocol) -> list[str]:
     """What is looked for."""
-    return ["Dataframes/<City>.csv and Images/<City>/"]
+    return [f"{TABLES}/<City>.csv and {PHOTOS}/<City>/"]
 
 
 def find(root: Path, _: Protocol) -> Path | None:
     """The folder of tables."""
-    return root / "Dataframes" if is_gsv_cities(root) else None
+    return root / TABLES if is_gsv_cities(root) else None
 
 
 def read(root: Path, _: Protocol) -> Sides:
     """Both sides.
 
     Raises:
-        BenchmarkError: a table cannot be read or holds no place of four photos.
+        BenchmarkError: If a table cannot be read or holds no place of four photos.
     """
     notes: list[str] = []
     places = read_gsv_cities(root, say=notes.append)
@@ -129,7 +129,7 @@ def read(root: Path, _: Protocol) -> Sides:
         _photos(root, [(place, place.photos[-1]) for place in places]),
         positives=Ragged(np.arange(ends[-1], dtype=np.int64), ends),
         groups=tuple(f"{place.city}/{place.name}" for place in places),
-        told_by="Dataframes",
+        told_by=TABLES,
         notes=tuple(notes),
     )
 
