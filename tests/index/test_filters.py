@@ -15,7 +15,7 @@ from salad.errors import StoreError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.images.photo import Photo
 from salad.index import filter_sql
-from salad.index.catalog import Ledger
+from salad.index.catalog import Catalog
 from salad.index.filter_sql import allowed
 from salad.index.index import Index
 from salad.search.filters import Filter
@@ -93,7 +93,7 @@ class UndoneError(Exception):
 
 
 @contextmanager
-def held(photos: list[Photo], table: Ledger) -> Iterator[None]:
+def held(photos: list[Photo], table: Catalog) -> Iterator[None]:
     """Photos that are in the table for as long as this lasts; nothing is written to the disk."""
     with suppress(UndoneError), table.writing():
         table.insert(photos, [str(n) for n in range(len(photos))], [0] * len(photos), row=0)
@@ -102,20 +102,20 @@ def held(photos: list[Photo], table: Ledger) -> Iterator[None]:
 
 
 @pytest.fixture
-def empty(tmp_path: Path) -> Iterator[Ledger]:
+def empty(tmp_path: Path) -> Iterator[Catalog]:
     Index.create(tmp_path / "i", dim=2, fingerprint="f", model="m").close()
-    made = Ledger(tmp_path / "i" / "photos.sqlite", wait=1)
+    made = Catalog(tmp_path / "i" / "photos.sqlite", wait=1)
     yield made
     made.close()
 
 
-def rows_of(wanted: Filter, table: Ledger, count: int) -> list[int]:
+def rows_of(wanted: Filter, table: Catalog, count: int) -> list[int]:
     return np.flatnonzero(allowed(wanted, table, np.ones(count, bool))).tolist()
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(facts=st.lists(FACTS, max_size=12), wanted=st.lists(some_filters(), min_size=1, max_size=6))
-def test_a_filter_is_the_plain_loops(empty: Ledger, facts: list[tuple], wanted: list[Filter]) -> None:
+def test_a_filter_is_the_plain_loops(empty: Catalog, facts: list[tuple], wanted: list[Filter]) -> None:
     photos = [Photo(Path(f"/p/{n}"), *fact) for n, fact in enumerate(facts)]
     with held(photos, empty):
         for each in wanted:
@@ -126,7 +126,7 @@ def test_a_filter_is_the_plain_loops(empty: Ledger, facts: list[tuple], wanted: 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(middle=POINTS, within=st.floats(1, 3e6), turns=st.lists(st.floats(0, 7), min_size=1, max_size=8))
 def test_a_circle_is_round_near_the_poles_and_across_the_date_line(
-    empty: Ledger, middle: GeoPoint, within: float, turns: list[float]
+    empty: Catalog, middle: GeoPoint, within: float, turns: list[float]
 ) -> None:
     rim = [
         shifted(middle, share * within * math.cos(turn), share * within * math.sin(turn))
@@ -138,7 +138,7 @@ def test_a_circle_is_round_near_the_poles_and_across_the_date_line(
 
 
 @pytest.fixture
-def table(empty: Ledger) -> Iterator[Ledger]:
+def table(empty: Catalog) -> Iterator[Catalog]:
     noon = datetime(2024, 5, 1, 12)
     photos = [
         Photo(Path("/p/0"), GeoPoint(-17, 179.5), 350.0, noon),
@@ -166,18 +166,18 @@ def table(empty: Ledger) -> Iterator[Ledger]:
         (Filter(since=datetime.min, until=datetime.max), [0, 1, 2]),
     ],
 )
-def test_each_part_by_itself(table: Ledger, wanted: Filter, rows: list[int]) -> None:
+def test_each_part_by_itself(table: Catalog, wanted: Filter, rows: list[int]) -> None:
     assert rows_of(wanted, table, 4) == rows
 
 
-def test_only_living_rows_of_the_snapshot_pass(table: Ledger, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_living_rows_of_the_snapshot_pass(table: Catalog, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(filter_sql, "_PAGE", 2)
     alive = np.array([True, False, True])  # and the ledger has gone on to a fourth
     for wanted in (Filter(), Filter(since=datetime(2024, 1, 1))):
         assert allowed(wanted, table, alive).tolist() == [True, False, True]
 
 
-def test_facts_that_are_none_pass_nothing(table: Ledger) -> None:
+def test_facts_that_are_none_pass_nothing(table: Catalog) -> None:
     table.select("UPDATE photos SET time = '2024-05-01T25', lat = 'north', heading = 'up' WHERE row = 0")
     for wanted in (
         Filter(since=datetime(2024, 1, 1)),

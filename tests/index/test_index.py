@@ -358,14 +358,14 @@ _DIES = """
 import os, sys
 from pathlib import Path
 import numpy as np
-from salad.index.catalog import Ledger
+from salad.index.catalog import Catalog
 from salad.index.index import Index
 from salad.images.photo import Photo
 
 if sys.argv[2] == "before the commit":
-    Ledger.commit_rows = lambda self, rows: os._exit(9)
+    Catalog.commit_rows = lambda self, rows: os._exit(9)
 elif sys.argv[2] == "before the table":
-    Ledger.insert = lambda self, photos, identities, sums, row: os._exit(9)
+    Catalog.insert = lambda self, photos, identities, sums, row: os._exit(9)
 index = Index.open(sys.argv[1])
 names = [f"{n}" for n in range(5000)]
 index.add([Photo(Path("/photos", n)) for n in names], np.tile(np.eye(8)[0], (5000, 1)), identities=names)
@@ -405,8 +405,8 @@ def test_a_full_disk_adds_nothing(index: Index, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_full_table_is_a_sentence(index: Index) -> None:
-    pages = index._ledger._db.execute("PRAGMA page_count").fetchone()[0]
-    index._ledger._db.execute(f"PRAGMA max_page_count = {pages}")
+    pages = index._catalog._db.execute("PRAGMA page_count").fetchone()[0]
+    index._catalog._db.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(StoreError, match="make room on the disk"):
         index.add(
             [photo("n" * 200 + str(n)) for n in range(500)],
@@ -422,7 +422,7 @@ def test_a_full_table_is_a_sentence(index: Index) -> None:
 def test_one_writer_at_a_time_and_readers_beside_it(index: Index) -> None:
     add(index, "ab")
     other = Index.open(index.folder, wait=0)
-    with index._ledger.writing():
+    with index._catalog.writing():
         assert names(other) == ["a", "b"]
         assert len(other.search(descriptors(1))[0]) == 2
         for change in (lambda: add(other, "c"), lambda: other.remove(["/photos/a.jpg"])):

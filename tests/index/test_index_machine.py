@@ -95,7 +95,7 @@ class Camera:
 
     @contextmanager
     def watching(self, index: Index) -> Iterator[None]:
-        database = index._ledger._db
+        database = index._catalog._db
         database.set_trace_callback(self._see)  # before every statement of SQL
         with (
             patch.object(os, "fsync", self._before(os.fsync)),

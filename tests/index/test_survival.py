@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from salad.errors import SaladError, StoreError
 from salad.images.photo import Photo
-from salad.index.catalog import Ledger
+from salad.index.catalog import Catalog
 from salad.index.index import Index
 from salad.search.base import Hits
 from salad.search.exact import ExactSearcher
@@ -97,7 +97,7 @@ def work(job: dict[str, Any]) -> None:
     log = os.open(job["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     with Index.open(job["folder"]) as index:
         if job["do"] == "hold":
-            with index._ledger.writing():
+            with index._catalog.writing():
                 os.write(log, b"held\n")
                 time.sleep(600)
         while True:
@@ -198,9 +198,9 @@ def found(index: Index, number: int) -> str:
 
 
 def test_a_change_comes_through_behind_an_interrupted_look(index: Index) -> None:
-    index._ledger._db.execute("BEGIN")  # as Ctrl-C leaves it right behind the command
+    index._catalog._db.execute("BEGIN")  # as Ctrl-C leaves it right behind the command
     assert add(index, range(3)) == 3
-    assert not index._ledger._db.in_transaction
+    assert not index._catalog._db.in_transaction
     assert len(index) == 3
 
 
@@ -611,10 +611,10 @@ def test_verify_says_what_it_can_of_a_table_that_cannot_be_read(
     add(index, range(3))
     flip(index, 1)
 
-    def unreadable(table: Ledger) -> list[str]:
+    def unreadable(table: Catalog) -> list[str]:
         raise StoreError("the table is damaged")
 
-    monkeypatch.setattr("salad.index.verify.complaints", unreadable)
+    monkeypatch.setattr("salad.index.verify.catalog_trouble", unreadable)
     said = index.verify()
     assert said[0] == "the table is damaged"
     assert "1.jpg has a damaged descriptor" in said[1]

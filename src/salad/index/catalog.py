@@ -13,7 +13,7 @@ import re
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -25,9 +25,6 @@ import numpy.typing as npt
 from salad.errors import PositionError, StoreError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
-
-# --- How a photo is written in `photos.sqlite`: the tables, and a photo as a row of them ---
-
 
 # Paths are bytes on most systems and need not be text; they are stored as the bytes they are (os.fsencode),
 # typed as TEXT so that anyone can read the table.
@@ -86,8 +83,14 @@ def photo_of_row(row: Sequence[Any]) -> tuple[int, Photo]:
     """
     number, path, lat, lon, heading, time = row
     name = path if isinstance(path, str) else os.fsdecode(path) if isinstance(path, bytes) else str(path)
-    degrees = heading if isinstance(heading, float) else None
-    return number, Photo(Path(name), _point(lat, lon), degrees, _moment(time))
+    where = taken = None
+    if isinstance(lat, float) and isinstance(lon, float):
+        with suppress(PositionError):
+            where = GeoPoint(lat, lon)
+    if isinstance(time, str):
+        with suppress(ValueError):
+            taken = datetime.fromisoformat(time)
+    return number, Photo(Path(name), where, heading if isinstance(heading, float) else None, taken)
 
 
 def row_trouble(row: Sequence[Any]) -> str:
@@ -106,27 +109,6 @@ def row_trouble(row: Sequence[Any]) -> str:
     )
 
 
-def _point(lat: object, lon: object) -> GeoPoint | None:
-    if not isinstance(lat, float) or not isinstance(lon, float):
-        return None
-    try:
-        return GeoPoint(lat, lon)
-    except PositionError:
-        return None
-
-
-def _moment(time: object) -> datetime | None:
-    if not isinstance(time, str):
-        return None
-    try:
-        return datetime.fromisoformat(time)
-    except ValueError:
-        return None
-
-
-# --- One SQLite file, opened: looks that are consistent, changes that happen or do not, errors in a sentence ---
-
-
 _CACHE_KB = 64 << 10  # the tree of contents of a million photos is touched everywhere by an addition
 
 
@@ -137,7 +119,7 @@ class Database:
         """Open `path`, which must exist; `wait` is how many seconds to wait for another writer."""
         self.path = path
         self._lock = threading.RLock()
-        with self._told():
+        with self._explaining():
             self._db = sqlite3.connect(
                 f"{path.absolute().as_uri()}?mode=rw",
                 uri=True,
@@ -160,7 +142,7 @@ class Database:
 
         Inside another look, or a change, it is part of that.
         """
-        with self._lock, self._told():
+        with self._lock, self._explaining():
             if self._db.in_transaction:
                 yield
                 return
@@ -174,7 +156,7 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[None]:
         """One change, whole or not at all; the lock is taken at once, so two writers never both begin."""
-        with self._lock, self._told():
+        with self._lock, self._explaining():
             if self._db.in_transaction:  # what an interrupt cut short: nothing else comes before a change
                 self._db.execute("ROLLBACK")
             try:
@@ -193,27 +175,32 @@ class Database:
 
     def shrink(self) -> None:
         """Give the room of deleted rows back to the disk; outside of a change."""
-        with self._lock, self._told():
+        with self._lock, self._explaining():
             self._db.execute("VACUUM")
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _explaining(self) -> Iterator[None]:
         """Turn SQLite's errors into a sentence."""
         try:
             yield
         except sqlite3.Error as error:
-            raise StoreError(_sentence(self.path, error)) from error
-
-
-def _sentence(path: Path, error: sqlite3.Error) -> str:
-    kind = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the low byte is the kind, the rest its detail
-    if kind in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        return f"{path.parent} is being written by another program: wait until it is done and try again"
-    if kind in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
-        return f"{path} cannot be opened for this ({error}): check that you may write to its folder"
-    if kind in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-        return f"{path} cannot be written ({error}): nothing was changed; make room on the disk and try again"
-    return f"{path} is damaged ({error}): restore it, or index the photos again"
+            kind = (
+                getattr(error, "sqlite_errorcode", 0) & 0xFF
+            )  # the low byte is the kind, the rest its detail
+            if kind in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+                text = f"{self.path.parent} is being written by another program: wait until it is done and try again"
+            elif kind in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
+                text = (
+                    f"{self.path} cannot be opened for this ({error}): check that you may write to its folder"
+                )
+            elif kind in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+                text = (
+                    f"{self.path} cannot be written ({error}): nothing was changed; make room on the disk and try "
+                    "again"
+                )
+            else:
+                text = f"{self.path} is damaged ({error}): restore it, or index the photos again"
+            raise StoreError(text) from error
 
 
 CATALOG_FILE = "photos.sqlite"
@@ -243,7 +230,7 @@ class Facts:
     latest: str | None
 
 
-class Ledger(Database):
+class Catalog(Database):
     """The table of photos. Whatever reads or writes it runs inside `reading` or `writing`."""
 
     @staticmethod
@@ -285,8 +272,6 @@ class Ledger(Database):
             "UPDATE committed SET rows = ?, generation = generation + 1, matrix = COALESCE(?, matrix)",
             (rows, matrix),
         )
-
-    # --- reading -------------------------------------------------------------------------
 
     def dead_rows(self) -> npt.NDArray[np.int64]:
         """Rows that count and whose photo was removed, ascending."""
@@ -372,6 +357,11 @@ class Ledger(Database):
         )
         return {fields[0]: (photo_of_row(fields)[1], identity) for *fields, identity in found}
 
+    def photos_at(self, rows: Iterable[int], *, vectors: str) -> dict[int, tuple[Photo, str]] | None:
+        """The same of rows of the file of descriptors named `vectors`; None where a compaction came since."""
+        with self.reading():
+            return self.at_rows(rows) if self.committed().matrix == vectors else None
+
     def at_paths(self, paths: Iterable[Path], *, below: int | None = None) -> list[tuple[int, Path, str]]:
         """Row, path and content of the live photos at these paths, of those before row `below` where given."""
         wanted = list(map(os.fsencode, paths))
@@ -392,8 +382,6 @@ class Ledger(Database):
             (row,),
         )
         return [(*photo_of_row(fields), identity) for *fields, identity in found]
-
-    # --- writing -------------------------------------------------------------------------
 
     def insert(
         self, photos: Sequence[Photo], identities: Sequence[str], sums: Sequence[int], *, row: int

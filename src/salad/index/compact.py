@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from salad.errors import StoreError
-from salad.index import catalog, index_folder, vectors, verify
-from salad.index.catalog import Committed, Ledger
+from salad.index import index_folder, verify
+from salad.index.catalog import UNKNOWN, Catalog, Committed
+from salad.index.vectors import FileRows, sums
 
 _OURS = re.compile(r"descriptors(-\d+)?\.f16")
 
@@ -40,7 +39,7 @@ class Compacted:
     damaged: list[Path]
 
 
-def compact(folder: Path, table: Ledger, *, dim: int) -> Compacted:
+def compact(folder: Path, catalog: Catalog, *, dim: int) -> Compacted:
     """Rewrite the index in `folder` without its removed and damaged rows.
 
     Raises:
@@ -48,59 +47,51 @@ def compact(folder: Path, table: Ledger, *, dim: int) -> Compacted:
     """
     before = index_folder.size(folder)
     try:
-        with table.writing():
-            last = table.committed()
+        with catalog.writing():
+            last = catalog.committed()
             _sweep(folder, keep=last.matrix)
-            kept, damaged = _rewrite(folder, table, last, dim)
+            kept, damaged = _rewrite(folder, catalog, last, dim)
     finally:
         # Under the lock again: a compaction that has begun since is writing a file nobody names yet.
-        with suppress(StoreError), table.writing():
-            _sweep(folder, keep=table.committed().matrix)
+        with suppress(StoreError), catalog.writing():
+            _sweep(folder, keep=catalog.committed().matrix)
     with suppress(StoreError):  # no room, or somebody reads: the next one will do it
-        table.shrink()
+        catalog.shrink()
     return Compacted(kept, max(0, before - index_folder.size(folder)), damaged)
 
 
-def _rewrite(folder: Path, table: Ledger, last: Committed, dim: int) -> tuple[int, list[Path]]:
+def _rewrite(folder: Path, catalog: Catalog, last: Committed, dim: int) -> tuple[int, list[Path]]:
     """Inside of a change: how many rows stay, and the photos whose descriptors were not worth keeping."""
-    old = vectors.FileRows(folder / last.matrix, rows=last.rows, dim=dim)
+    old = FileRows(folder / last.matrix, rows=last.rows, dim=dim)
     alive = np.zeros(last.rows, dtype=np.bool_)
-    live, noted = table.live_rows(), table.sums()
+    live, noted = catalog.live_rows(), catalog.sums()
     alive[live[live < last.rows]] = True
     full = len(live) == alive.sum() == old.held == last.rows
-    if full and (noted != catalog.UNKNOWN).all() and not verify.damaged(old, alive, noted):
+    if full and (noted != UNKNOWN).all() and not verify.damaged(old, alive, noted):
         return len(live), []  # nothing to be gained
-    name = f"descriptors-{last.generation + 1}.f16"
-    rows, sums = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    with _written(folder / name) as file:
-        for start, block, good in verify.checked(old, alive, noted):
-            chosen = block[good]
-            file.write(chosen.data)
-            rows.append(start + good.nonzero()[0])
-            sums.append(np.array(vectors.sums(chosen), dtype=np.int64))
-    old.close()
-    kept = np.concatenate(rows)
-    lost = np.setdiff1d(live, kept)
-    damaged = [photo.path for photo, _ in table.at_rows(lost).values()]
-    table.renumber(kept, np.concatenate(sums))
-    table.commit_rows(len(kept), matrix=name)
-    return len(kept), damaged
-
-
-@contextmanager
-def _written(path: Path) -> Iterator[BinaryIO]:
-    """A new file, which is on the disk with its name when this ends."""
+    path = folder / f"descriptors-{last.generation + 1}.f16"
+    rows, checksums = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     try:
         with path.open("wb") as file:
-            yield file
+            for start, block, good in verify.checked(old, alive, noted):
+                chosen = block[good]
+                file.write(chosen.data)
+                rows.append(start + good.nonzero()[0])
+                checksums.append(np.array(sums(chosen), dtype=np.int64))
             file.flush()
             os.fsync(file.fileno())
-        index_folder.settle(path.parent)
+        index_folder.settle(path.parent)  # its name too, before a commit says it
     except OSError as error:
         raise StoreError(
             f"{path} cannot be written ({error.strerror}): nothing was changed; a compaction needs room for "
             "the descriptors that stay beside the old ones"
         ) from error
+    old.close()
+    kept = np.concatenate(rows)
+    damaged = [photo.path for photo, _ in catalog.at_rows(np.setdiff1d(live, kept)).values()]
+    catalog.renumber(kept, np.concatenate(checksums))
+    catalog.commit_rows(len(kept), matrix=path.name)
+    return len(kept), damaged
 
 
 def _sweep(folder: Path, *, keep: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from salad.geo import EARTH_RADIUS_M, GeoPoint, metres, turn_between
-from salad.index.catalog import Ledger
+from salad.index.catalog import Catalog
 from salad.search.base import Mask
 from salad.search.filters import Box, Filter, in_order
 
@@ -25,7 +25,7 @@ _ZONES = timedelta(days=3)  # more than two zones can make between a photo's dat
 _SPARE_DEGREES = 1e-6  # 11 cm, against rounding where SQLite's word is not the last
 
 
-def allowed(filter: Filter, ledger: Ledger, alive: Mask) -> Mask:
+def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
     """Which of the living rows `[N]` a filter lets through.
 
     It belongs in the look that `alive` was taken in, for a compaction gives rows other numbers.
@@ -33,7 +33,7 @@ def allowed(filter: Filter, ledger: Ledger, alive: Mask) -> Mask:
     if filter == Filter(heading_within=filter.heading_within):
         return alive
     passed = np.zeros(len(alive), dtype=np.bool_)
-    for some in _pages(filter, ledger, len(alive)):
+    for some in _pages(filter, catalog, len(alive)):
         row, lat, lon, heading, time = zip(*some, strict=True)
         keep = np.ones(len(some), dtype=np.bool_)
         if filter.near is not None and filter.within_m is not None:
@@ -46,7 +46,7 @@ def allowed(filter: Filter, ledger: Ledger, alive: Mask) -> Mask:
     return passed & alive
 
 
-def _pages(filter: Filter, ledger: Ledger, rows: int) -> Iterator[list[tuple[Any, ...]]]:
+def _pages(filter: Filter, catalog: Catalog, rows: int) -> Iterator[list[tuple[Any, ...]]]:
     """Row, latitude, longitude, heading and time of photos that may pass, some at a time."""
     parts = _conditions(filter)
     sql = "SELECT row, lat, lon, heading, time FROM photos WHERE " + " AND ".join(
@@ -54,7 +54,7 @@ def _pages(filter: Filter, ledger: Ledger, rows: int) -> Iterator[list[tuple[Any
     )
     given = [value for _, values in parts for value in values]
     for start in range(0, rows, _PAGE):
-        if some := ledger.select(sql, [start, min(start + _PAGE, rows), *given]):
+        if some := catalog.select(sql, [start, min(start + _PAGE, rows), *given]):
             yield some
 
 

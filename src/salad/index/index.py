@@ -20,14 +20,13 @@ import numpy.typing as npt
 
 from salad.errors import StoreError, WrongModelError
 from salad.images.photo import Photo, content_hash
-from salad.index import catalog, index_folder, vectors, verify
-from salad.index.catalog import Committed, Ledger
-from salad.index.checksums import ChecksumVerifier
+from salad.index import index_folder, listing, verify
+from salad.index.catalog import CATALOG_FILE, Catalog, Committed
 from salad.index.compact import Compacted, compact
 from salad.index.filter_sql import allowed
 from salad.index.index_folder import Header
-from salad.index.vectors import FileRows, Half, Snapshot
-from salad.index.verify import IndexInfo
+from salad.index.vectors import FileRows, Snapshot, append, storable, sums
+from salad.index.verify import ChecksumVerifier, IndexInfo
 from salad.search.base import Mask, Queries, Searcher, SearcherFactory
 from salad.search.exact import ExactSearcher
 from salad.search.filters import Filter
@@ -56,60 +55,6 @@ class Match:
     row: int
 
 
-# --- Taking photos in: descriptors behind all others first, then one commit that says they count ---
-
-
-def add(folder: Path, table: Ledger, photos: Sequence[Photo], contents: Sequence[str], rows: Half) -> int:
-    """Add photos to the index in `folder`; how many were new.
-
-    Args:
-        folder: The index.
-        table: Its photos.
-        photos: With absolute paths.
-        contents: Their contents.
-        rows: `[N, dim]`, their descriptors as they are stored.
-
-    Raises:
-        StoreError: If another program is writing, the disk is full, or descriptors of the index are lost;
-            nothing was added.
-    """
-    with table.writing():
-        last = table.committed()
-        known, first = table.known(contents), dict[str, int]()
-        for number, content in enumerate(contents):
-            if content not in known:
-                first.setdefault(content, number)
-        fresh = list(first.values())
-        if fresh:
-            chosen = rows if len(fresh) == len(rows) else rows[fresh]
-            _check_whole(folder, table, last, chosen.shape[1])
-            vectors.append(folder / last.matrix, chosen, at=last.rows)
-            new, names = [photos[n] for n in fresh], [contents[n] for n in fresh]
-            table.insert(new, names, vectors.sums(chosen), row=last.rows)
-        again = [number for number, content in enumerate(contents) if first.get(content) != number]
-        table.update([photos[n] for n in again], [contents[n] for n in again])
-        table.retire([photo.path for photo in photos], contents, below=last.rows)
-        table.commit_rows(last.rows + len(fresh))
-    return len(fresh)
-
-
-def _check_whole(folder: Path, table: Ledger, last: Committed, dim: int) -> None:
-    """Refuse to write behind descriptors that are lost: the gap would be filled, and pass for theirs.
-
-    Raises:
-        StoreError: If the file of descriptors is shorter than the photos that can be found need it.
-    """
-    rows = FileRows(folder / last.matrix, rows=last.rows, dim=dim)
-    lost = table.count(start=rows.held) if rows.held < last.rows else 0
-    rows.close()
-    if lost:
-        raise StoreError(
-            f"{rows.path} is truncated and lacks the descriptors of {lost} photos, so nothing was added: restore "
-            f"it, or run 'salad compact {folder}', which lets go of those photos and names them, and index them "
-            "again"
-        )
-
-
 class Index:
     """Photos with their descriptors in a folder. One writer at a time; any number of readers beside it.
 
@@ -121,13 +66,13 @@ class Index:
         self,
         folder: Path,
         header: Header,
-        table: catalog.Ledger,
+        catalog: Catalog,
         *,
         searcher: SearcherFactory = ExactSearcher,
     ) -> None:
         self.folder = folder
         self.header = header
-        self._ledger = table
+        self._catalog = catalog
         self._searcher = searcher
         self._last: tuple[Snapshot, ChecksumVerifier, Searcher] | None = None
         self._middle: tuple[int, Mean] | None = None  # the mean descriptor, of which generation
@@ -168,7 +113,7 @@ class Index:
         """
         home = Path(os.path.realpath(folder))
         header = Header.read(home)
-        index = cls(home, header, Ledger(home / catalog.CATALOG_FILE, wait=wait), searcher=searcher)
+        index = cls(home, header, Catalog(home / CATALOG_FILE, wait=wait), searcher=searcher)
         try:
             index._snapshot()
         except BaseException:
@@ -192,10 +137,8 @@ class Index:
         return self.header.model
 
     def __len__(self) -> int:
-        with self._ledger.reading():
-            return self._ledger.count()
-
-    # --- changing ------------------------------------------------------------------------
+        with self._catalog.reading():
+            return self._catalog.count()
 
     def add(
         self, photos: Sequence[Photo], descriptors: Floats, *, identities: Sequence[str] | None = None
@@ -219,17 +162,48 @@ class Index:
                 file of descriptors is cut short.
             PhotoError: If a photo's content cannot be read to tell its identity.
         """
-        rows = vectors.storable(descriptors, len(photos), self.dim)
+        rows = storable(descriptors, len(photos), self.dim)
         contents = [content_hash(photo.path) for photo in photos] if identities is None else list(identities)
-        return add(self.folder, self._ledger, _placed(photos), contents, rows)
+        placed = _placed(photos)
+        with self._catalog.writing():
+            last = self._catalog.committed()
+            known, first = self._catalog.known(contents), dict[str, int]()
+            for number, content in enumerate(contents):
+                if content not in known:
+                    first.setdefault(content, number)
+            fresh = list(first.values())
+            if fresh:
+                self._refuse_gaps(last)
+                # Behind all others, and onto the disk, before the commit below says that they count.
+                chosen = rows if len(fresh) == len(rows) else rows[fresh]
+                append(self.folder / last.matrix, chosen, at=last.rows)
+                new, names = [placed[n] for n in fresh], [contents[n] for n in fresh]
+                self._catalog.insert(new, names, sums(chosen), row=last.rows)
+            again = [number for number, content in enumerate(contents) if first.get(content) != number]
+            self._catalog.update([placed[n] for n in again], [contents[n] for n in again])
+            self._catalog.retire([photo.path for photo in placed], contents, below=last.rows)
+            self._catalog.commit_rows(last.rows + len(fresh))
+        return len(fresh)
+
+    def _refuse_gaps(self, last: Committed) -> None:
+        """Write nothing behind descriptors that are lost: the gap would be filled, and pass for theirs."""
+        rows = FileRows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
+        lost = self._catalog.count(start=rows.held) if rows.held < last.rows else 0
+        rows.close()
+        if lost:
+            raise StoreError(
+                f"{rows.path} is truncated and lacks the descriptors of {lost} photos, so nothing was added: restore "
+                f"it, or run 'salad compact {self.folder}', which lets go of those photos and names them, and index "
+                "them again"
+            )
 
     def update(self, photos: Sequence[Photo], identities: Sequence[str]) -> None:
         """Give contents the index holds their path and what is newly known of them; pass over others."""
         placed = _placed(photos)
-        with self._ledger.writing():
-            self._ledger.update(placed, identities)
-            self._ledger.retire([photo.path for photo in placed], identities)
-            self._ledger.commit_rows(self._ledger.committed().rows)
+        with self._catalog.writing():
+            self._catalog.update(placed, identities)
+            self._catalog.retire([photo.path for photo in placed], identities)
+            self._catalog.commit_rows(self._catalog.committed().rows)
 
     def remove(self, paths: Sequence[str | Path]) -> int:
         """Forget the photos at these paths, or below them; how many. Their rows never come out again.
@@ -253,24 +227,22 @@ class Index:
         Raises:
             StoreError: If another program is writing, or the disk has no room; nothing changed.
         """
-        return compact(self.folder, self._ledger, dim=self.dim)
-
-    # --- finding -------------------------------------------------------------------------
+        return compact(self.folder, self._catalog, dim=self.dim)
 
     def known(self, identities: Sequence[str]) -> set[str]:
         """Which of these contents the index holds."""
-        with self._ledger.reading():
-            return self._ledger.known(identities)
+        with self._catalog.reading():
+            return self._catalog.known(identities)
 
     def find(self, identities: Sequence[str]) -> dict[str, Photo]:
         """The photos with these contents, by content."""
-        with self._ledger.reading():
-            return self._ledger.find(identities)
+        with self._catalog.reading():
+            return self._catalog.find(identities)
 
     def taken(self, paths: Sequence[Path]) -> set[Path]:
         """At which of these absolute paths the index holds a photo."""
-        with self._ledger.reading():
-            return {path for _, path, _ in self._ledger.at_paths(paths)}
+        with self._catalog.reading():
+            return {path for _, path, _ in self._catalog.at_paths(paths)}
 
     def search(
         self, descriptors: Floats, *, k: int = 5, where: Filter | None = None, centred: bool = False
@@ -292,21 +264,21 @@ class Index:
         if k < 1:
             raise StoreError(f"k is {k}: ask for at least one match")
         while True:
-            with self._ledger.reading():
+            with self._catalog.reading():
                 seen, checksums, searcher = self._seen()
                 alive = checksums.alive()
                 may: Mask | Filter = alive
                 if where is not None:
-                    may = where if searcher.takes_filters else allowed(where, self._ledger, alive)
+                    may = where if searcher.takes_filters else allowed(where, self._catalog, alive)
             seen.rows.keep()
             asked = Centred(searcher, self._mean(seen)) if centred else searcher
             hits = asked.search(queries, k=k, allowed=may)
             found = np.unique(hits.rows[hits.rows >= 0])
             found = found[alive[found]].tolist()  # who takes filters need not know what was removed
-            with self._ledger.reading():
+            with self._catalog.reading():
                 # Again, where a compaction came between the search and the names, or damage came out on top.
-                held = verify.at_rows(self._ledger, seen, found)
-                if held is not None and checksums.passes(self._ledger, found):
+                held = self._catalog.photos_at(found, vectors=seen.rows.path.name)
+                if held is not None and checksums.passes(self._catalog, found):
                     break
         return [
             [Match(held[row][0], score, row) for row, score in zip(*best, strict=True) if row in held]
@@ -328,17 +300,15 @@ class Index:
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
-        return (photo for photo, _ in verify.listed(self._ledger))
+        return (photo for photo, _ in listing.listed(self._catalog))
 
-    def pages(self) -> Iterator[verify.Page]:
+    def pages(self) -> Iterator[listing.Page]:
         """Every photo with its content and descriptor, as one commit holds them, some at a time.
 
         Raises:
             StoreError: If another program compacts the index meanwhile.
         """
-        return verify.pages(self._ledger, self._snapshot)
-
-    # --- tending -------------------------------------------------------------------------
+        return listing.pages(self._catalog, self._snapshot)
 
     def check_model(self, model: Describes) -> None:
         """Make sure that `model` is the one the index was made with.
@@ -358,7 +328,7 @@ class Index:
 
         Photos whose descriptors are damaged or lost are named; all others can be used as before.
         """
-        return verify.verify(self._ledger, self._snapshot)
+        return verify.verify(self._catalog, self._snapshot)
 
     def missing(self, below: Sequence[str | Path] = ()) -> list[Path]:
         """Photos the index holds whose files are gone, of those below these folders where any are named.
@@ -372,12 +342,12 @@ class Index:
 
     def info(self) -> IndexInfo:
         """What the index holds, in numbers."""
-        return verify.survey(self.folder, self.header, self._ledger)
+        return verify.survey(self.folder, self.header, self._catalog)
 
     def close(self) -> None:
         """Let go of the files; the index cannot be used afterwards."""
         self._last = None
-        self._ledger.close()
+        self._catalog.close()
 
     def __enter__(self) -> Self:
         return self
@@ -393,12 +363,12 @@ class Index:
     def _seen(self) -> tuple[Snapshot, ChecksumVerifier, Searcher]:
         """The latest commit, what was checked of it, and what searches it; the same until somebody commits again."""
         # The file it names cannot be deleted under us: that takes a commit, and nobody commits during a look.
-        with self._ledger.reading():
-            last = self._ledger.committed()
+        with self._catalog.reading():
+            last = self._catalog.committed()
             if self._last is None or self._last[0].generation != last.generation:
                 rows = FileRows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
                 alive = np.ones(last.rows, dtype=np.bool_)
-                alive[self._ledger.dead_rows()] = False
+                alive[self._catalog.dead_rows()] = False
                 alive[rows.held :] = False
                 seen = Snapshot(last.generation, rows, alive)
                 self._last = seen, ChecksumVerifier(seen), self._searcher(rows)
@@ -412,9 +382,9 @@ class Index:
         return last[1]
 
     def _remove(self, paths: Sequence[Path]) -> int:
-        with self._ledger.writing():
-            removed = sum(self._ledger.remove(path) for path in paths)
-            self._ledger.commit_rows(self._ledger.committed().rows)
+        with self._catalog.writing():
+            removed = sum(self._catalog.remove(path) for path in paths)
+            self._catalog.commit_rows(self._catalog.committed().rows)
         return removed
 
 

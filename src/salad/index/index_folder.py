@@ -13,13 +13,10 @@ from datetime import datetime
 from pathlib import Path
 
 from salad.errors import StoreError
-from salad.index.catalog import CATALOG_FILE, Ledger
-
-# --- `index.json`: what an index says about itself before anything else is opened ---
-
+from salad.index.catalog import CATALOG_FILE, Catalog
 
 FORMAT_VERSION = 1
-HEADER_FILE = "index.json"
+HEADER_FILE, VECTORS_FILE = "index.json", "descriptors.f16"
 _KIND = "salad index"
 
 
@@ -53,7 +50,21 @@ class Header:
         Raises:
             StoreError: If there is none, it is not ours, or a newer version of salad wrote it.
         """
-        fields = _fields(folder)
+        try:
+            fields = json.loads((folder / HEADER_FILE).read_text(encoding="utf-8"))
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise StoreError(
+                f"{folder} is not an index (it has no {HEADER_FILE}): make one with 'salad index PHOTOS --to "
+                f"{folder}'"
+            ) from error
+        except OSError as error:
+            raise StoreError(
+                f"{folder / HEADER_FILE} cannot be read ({error.strerror}): check its permissions"
+            ) from error
+        except ValueError as error:
+            raise _damaged(folder) from error
+        if not isinstance(fields, dict) or fields.get("kind") != _KIND:
+            raise _damaged(folder)
         version = fields.get("format_version")
         if isinstance(version, int) and version > FORMAT_VERSION:
             raise StoreError(
@@ -72,24 +83,6 @@ class Header:
             raise _damaged(folder) from error
 
 
-def _fields(folder: Path) -> dict[str, object]:
-    try:
-        fields = json.loads((folder / HEADER_FILE).read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise StoreError(
-            f"{folder} is not an index (it has no {HEADER_FILE}): make one with 'salad index PHOTOS --to {folder}'"
-        ) from error
-    except OSError as error:
-        raise StoreError(
-            f"{folder / HEADER_FILE} cannot be read ({error.strerror}): check its permissions"
-        ) from error
-    except ValueError as error:
-        raise _damaged(folder) from error
-    if not isinstance(fields, dict) or fields.get("kind") != _KIND:
-        raise _damaged(folder)
-    return fields
-
-
 def _whole(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or value < 1:
         raise ValueError(value)
@@ -102,9 +95,6 @@ def _damaged(folder: Path) -> StoreError:
     )
 
 
-VECTORS_FILE = "descriptors.f16"
-
-
 def make(folder: Path, header: Header) -> Path:
     """Make an empty index in `folder`, which must not exist or be empty, at one stroke.
 
@@ -113,7 +103,7 @@ def make(folder: Path, header: Header) -> Path:
     """
     with drafted(folder, "index") as draft:
         (draft / VECTORS_FILE).touch()
-        Ledger.create(draft / CATALOG_FILE, matrix=VECTORS_FILE)
+        Catalog.create(draft / CATALOG_FILE, matrix=VECTORS_FILE)
         header.write(draft)
     return folder
 

@@ -228,9 +228,6 @@ class Exported:
     damaged: list[Path]
 
 
-# --- out -----------------------------------------------------------------------------------
-
-
 def export(
     index: Index,
     folder: str | Path,
@@ -253,8 +250,8 @@ def export(
     target = Path(os.path.realpath(folder))
     damaged: list[Path] = []
     with index_folder.drafted(target, "export") as draft:
-        told = {"kind": _KIND, **asdict(Source(index.model, index.fingerprint, index.dim))}
-        (draft / _MODEL).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        source = {"kind": _KIND, **asdict(Source(index.model, index.fingerprint, index.dim))}
+        (draft / _MODEL).write_text(json.dumps(source, indent=2) + "\n", encoding="utf-8")
         with (
             writer(draft / f"{_PHOTOS}.{form}") as put,
             NpyWriter(draft / _DESCRIPTORS, dim=index.dim, dtype=dtype) as file,
@@ -264,9 +261,6 @@ def export(
                 file.write(page.descriptors)
                 damaged += page.damaged
     return Exported(file.rows, damaged)
-
-
-# --- in ------------------------------------------------------------------------------------
 
 
 def model_of(folder: str | Path, *, name: str | None = None) -> Source:
@@ -279,18 +273,31 @@ def model_of(folder: str | Path, *, name: str | None = None) -> Source:
         StoreError: If the folder holds no descriptors, does not say of which model and no name is given, or
             is damaged.
     """
-    found = _matrix_in(Path(folder))
-    told = Path(folder, _MODEL)
-    if told.exists():
-        source = _told(told)
-        if source.dim != found.dim:
+    rows = _rows_in(Path(folder))
+    path = Path(folder, _MODEL)
+    if not path.exists():
+        if not name:
             raise StoreError(
-                f"{told} says descriptors of {source.dim} numbers, but {found.path} holds {found.dim}: export again"
+                f"{folder} does not say which model its descriptors are of: name it with --model"
             )
-        return source
-    if not name:
-        raise StoreError(f"{folder} does not say which model its descriptors are of: name it with --model")
-    return Source(name, _fingerprint(name, found.dim), found.dim)
+        digest = hashlib.blake2b(f"{rows.dim} {name}".encode(), digest_size=8).hexdigest()
+        return Source(name, f"foreign-{digest}", rows.dim)
+    damaged = StoreError(
+        f"{path} is damaged or not of a salad export: export again, or delete it and name --model"
+    )
+    try:
+        fields = json.loads(path.read_text(encoding="utf-8"))
+        source = Source(fields["model"], fields["fingerprint"], fields["dim"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise damaged from error
+    kinds = [type(value) for value in (source.model, source.fingerprint, source.dim)]
+    if fields.get("kind") != _KIND or kinds != [str, str, int]:
+        raise damaged
+    if source.dim != rows.dim:
+        raise StoreError(
+            f"{path} says descriptors of {source.dim} numbers, but {rows.path} holds {rows.dim}: export again"
+        )
+    return source
 
 
 def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
@@ -314,28 +321,34 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
         WrongModelError: If the descriptors are of another model than the index's.
         StoreError: If the folder cannot be read, or makes no sense; nothing of it was added.
     """
-    _check_model(index, Path(folder), model)
-    rows, table = _matrix_in(Path(folder)), _table_in(Path(folder))
+    source = model_of(folder, name=model or index.model)
+    vouched = model == index.model and not Path(folder, _MODEL).exists() and source.dim == index.dim
+    if source.fingerprint != index.fingerprint and not vouched:
+        raise wrong_model(index, Path(folder), source.model, source.fingerprint)
+    rows = _rows_in(Path(folder))
+    table = _one_of(Path(folder), _TABLES, _PHOTOS, "a table of photos")
     photos = sum(1 for _ in read(table))
     if photos != rows.rows:
         raise StoreError(
             f"{table} lists {photos} photos, but {rows.path} holds {rows.rows} descriptors: they must be as many, "
             "in the same order"
         )
-    _check_lengths(rows)
+    for start, block in rows.blocks():
+        with np.errstate(all="ignore"):
+            lengths = np.linalg.norm(block.astype(np.float32), axis=1)
+        bad = (~(np.abs(lengths - 1) <= UNIT_TOLERANCE)).nonzero()[0]
+        if len(bad):
+            raise StoreError(
+                f"{rows.path}, row {start + bad[0]}: its length is {lengths[bad[0]]:g}, not 1; divide each row by "
+                "its length (rows / numpy.linalg.norm(rows, axis=1, keepdims=True)), if the model's likeness is "
+                "the cosine"
+            )
     lines, added = read(table), 0
     for _, some in rows.blocks(numbers=_COMMIT):
         page = list(islice(lines, len(some)))
-        contents = [told or _content(photo) for photo, told in page]
+        contents = [content or _content(photo) for photo, content in page]
         added += index.add([photo for photo, _ in page], some, identities=contents)
     return added
-
-
-def _check_model(index: Index, folder: Path, model: str | None) -> None:
-    source = model_of(folder, name=model or index.model)
-    vouched = model == index.model and not (folder / _MODEL).exists() and source.dim == index.dim
-    if source.fingerprint != index.fingerprint and not vouched:
-        raise wrong_model(index, folder, source.model, source.fingerprint)
 
 
 def wrong_model(index: Index, folder: Path, model: str, fingerprint: str) -> WrongModelError:
@@ -346,34 +359,8 @@ def wrong_model(index: Index, folder: Path, model: str, fingerprint: str) -> Wro
     )
 
 
-def _told(path: Path) -> Source:
-    try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-        source = Source(fields["model"], fields["fingerprint"], fields["dim"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise _damaged(path) from error
-    whole = isinstance(source.model, str) and isinstance(source.fingerprint, str)
-    if fields.get("kind") != _KIND or not whole or not isinstance(source.dim, int):
-        raise _damaged(path)
-    return source
-
-
-def _damaged(path: Path) -> StoreError:
-    return StoreError(
-        f"{path} is damaged or not of a salad export: export again, or delete it and name --model"
-    )
-
-
-def _fingerprint(name: str, dim: int) -> str:
-    return f"foreign-{hashlib.blake2b(f'{dim} {name}'.encode(), digest_size=8).hexdigest()}"
-
-
-def _matrix_in(folder: Path) -> FileRows:
+def _rows_in(folder: Path) -> FileRows:
     return FileRows.of_npy(_one_of(folder, (".npy",), Path(_DESCRIPTORS).stem, "descriptors"))
-
-
-def _table_in(folder: Path) -> Path:
-    return _one_of(folder, _TABLES, _PHOTOS, "a table of photos")
 
 
 def _one_of(folder: Path, endings: Sequence[str], ours: str, what: str) -> Path:
@@ -392,19 +379,6 @@ def _one_of(folder: Path, endings: Sequence[str], ours: str, what: str) -> Path:
     return found[0]
 
 
-def _check_lengths(rows: FileRows) -> None:
-    for start, block in rows.blocks():
-        with np.errstate(all="ignore"):
-            lengths = np.linalg.norm(block.astype(np.float32), axis=1)
-        bad = (~(np.abs(lengths - 1) <= UNIT_TOLERANCE)).nonzero()[0]
-        if len(bad):
-            raise StoreError(
-                f"{rows.path}, row {start + bad[0]}: its length is {lengths[bad[0]]:g}, not 1; divide each row by "
-                "its length (rows / numpy.linalg.norm(rows, axis=1, keepdims=True)), if the model's likeness is "
-                "the cosine"
-            )
-
-
 def _content(photo: Photo) -> str:
     """What tells the photo from others: its file's content or, where there is no such file, its path."""
     try:
@@ -412,9 +386,6 @@ def _content(photo: Photo) -> str:
     except PhotoError:
         path = os.fsencode(os.path.realpath(photo.path))
         return hashlib.blake2b(b"no file: " + path, digest_size=16).hexdigest()
-
-
-# --- One index into another: photos with the descriptors they have, each content once ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -452,31 +423,28 @@ def merge(into: Index, other: Index) -> Merged:
         known = into.find(page.identities)
         taken = into.taken([photo.path for photo in page.photos])
         news = list(zip(page.photos, page.identities, strict=True))
-        fresh = [n for n, (photo, i) in enumerate(news) if i not in known and photo.path not in taken]
+        fresh = [
+            n for n, (photo, content) in enumerate(news) if content not in known and photo.path not in taken
+        ]
         added += into.add(
             [page.photos[n] for n in fresh],
             page.descriptors[fresh],
             identities=[page.identities[n] for n in fresh],
         )
-        _learn(into, known, news)
+        # What only the other index knows of the photos both hold.
+        filled = {
+            content: replace(
+                known[content],
+                where=known[content].where or photo.where,
+                heading=photo.heading if known[content].heading is None else known[content].heading,
+                time=known[content].time or photo.time,
+            )
+            for photo, content in news
+            if content in known
+        }
+        if learned := [content for content, photo in filled.items() if photo != known[content]]:
+            into.update([filled[content] for content in learned], learned)
         held += len(known)
-        left += [photo.path for photo, i in news if i not in known and photo.path in taken]
+        left += [photo.path for photo, content in news if content not in known and photo.path in taken]
         damaged += page.damaged
     return Merged(added, held, left, damaged)
-
-
-def _learn(into: Index, known: dict[str, Photo], news: Sequence[tuple[Photo, str]]) -> None:
-    """Tell `into` what only the other index knows of the photos both hold."""
-    filled = {
-        i: replace(
-            known[i],
-            where=known[i].where or photo.where,
-            heading=photo.heading if known[i].heading is None else known[i].heading,
-            time=known[i].time or photo.time,
-        )
-        for photo, i in news
-        if i in known
-    }
-    more = [i for i, photo in filled.items() if photo != known[i]]
-    if more:
-        into.update([filled[i] for i in more], more)

@@ -1,10 +1,11 @@
-"""How an index is: what it holds, and whether its descriptors are sound."""
+"""How an index is: what it holds, and whether its descriptors are what was written."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,15 @@ import numpy.typing as npt
 
 from salad.errors import StoreError
 from salad.geo import metres
-from salad.images.photo import Photo
-from salad.index import catalog, index_folder, vectors
-from salad.index.catalog import UNKNOWN, Ledger
+from salad.index import index_folder, vectors
+from salad.index.catalog import PHOTO, UNKNOWN, Catalog, row_trouble
 from salad.index.index_folder import Header
 from salad.index.vectors import FileRows, Half, Snapshot
 from salad.search.base import UNIT_TOLERANCE, Mask, Numbers
 
-_ROUNDING = 1e-3
+_ROUNDING = 1e-3  # what float16 may take from a length, and add to it: half of 2^-10
 _BLOCK = 1 << 22  # numbers looked at in one go
+_CHECKED = 1024  # rows found whose checksums are looked up in one go
 
 Box = tuple[float, float, float, float]
 
@@ -71,10 +72,10 @@ class IndexInfo:
         return {**asdict(self), "created": self.created.isoformat()}
 
 
-def survey(folder: Path, header: Header, table: Ledger) -> IndexInfo:
+def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
     """What the index in `folder` holds, in numbers."""
-    with table.reading():
-        last, facts, positions = table.committed(), table.facts(), table.positions()
+    with catalog.reading():
+        last, facts, positions = catalog.committed(), catalog.facts(), catalog.positions()
     around = box(positions)
     return IndexInfo(
         photos=facts.photos,
@@ -118,28 +119,6 @@ def span_km(around: Box) -> tuple[float, float]:
     return round(float(metres(south, 0.0, north, 0.0)) / 1000, 3), round(across / 1000, 3)
 
 
-def complaints(table: Ledger) -> list[str]:
-    """What is wrong with the table of photos, a sentence each; empty means sound."""
-    with table.reading():
-        table.committed()
-        said = [text for (text,) in table.select("PRAGMA integrity_check") if text != "ok"]
-        ((rows,),) = table.select("SELECT rows FROM committed")
-        ((count, top),) = table.select("SELECT COUNT(*), COALESCE(MAX(row), -1) FROM photos")
-        if (count, top) != (rows, rows - 1):
-            said.append(f"it lists {count} photos up to row {top}, but {rows} rows were committed")
-        said = [f"{table.path} is damaged ({text}): restore it, or index the photos again" for text in said]
-        return [*said, *filter(None, map(catalog.row_trouble, _rows(table)))]
-
-
-def _rows(table: Ledger) -> Iterator[tuple[Any, ...]]:
-    """Every live photo as it is written, whatever number its row has."""
-    row = -(1 << 63)
-    sql = f"SELECT {catalog.PHOTO} FROM photos WHERE removed = 0 AND row > ? ORDER BY row LIMIT 1000"
-    while page := table.select(sql, (row,)):
-        yield from page
-        row = page[-1][0]
-
-
 def sound(rows: Half, sums: Numbers) -> Mask:
     """Which rows of `[n, dim]` are what was written, by the checksums noted in `sums`.
 
@@ -178,110 +157,85 @@ def damaged(rows: FileRows, alive: Mask, sums: Numbers) -> list[int]:
     return bad
 
 
-# --- Reading an index from one end to the other while others may write to it: its photos, descriptors, health ---
-#
-# A look must not last, for nobody can commit during it; so a long walk takes many. Additions and removals do not
-# disturb it, since they leave every row its number. A compaction numbers the rows anew, and names another
-# matrix file: that is how it is noticed.
+class ChecksumVerifier:
+    """The rows of one snapshot that were checked so far: what a search hands out is what was written.
 
-
-_KEPT = 1000  # rows told last, any of which finds the place again behind a compaction
-
-Looks = Callable[[], Snapshot]
-
-
-@dataclass(frozen=True, slots=True)
-class Page:
-    """Some photos of an index.
-
-    Attributes:
-        photos: The photos.
-        identities: Their contents.
-        descriptors: `[len(photos), dim]`.
-        damaged: Photos that belong here, but whose descriptors are damaged or lost.
+    A flipped bit can make a descriptor like another photo's, and nothing in its numbers shows it. To check every row
+    at every search would cost more than the search; to check those that come out on top costs next to nothing, and
+    each is checked once.
     """
 
-    photos: list[Photo]
-    identities: list[str]
-    descriptors: Half
-    damaged: list[Path]
+    def __init__(self, snapshot: Snapshot) -> None:
+        self._snapshot = snapshot
+        self._checked = np.zeros(len(snapshot.alive), dtype=np.bool_)
+        self._damaged = np.zeros(len(snapshot.alive), dtype=np.bool_)
+
+    def alive(self) -> Mask:
+        """Rows that are alive and not known to be damaged: `[N]`."""
+        return self._snapshot.alive & ~self._damaged if self._damaged.any() else self._snapshot.alive
+
+    def passes(self, catalog: Catalog, rows: Iterable[int]) -> bool:
+        """Whether these rows are what was written; those that are not will not be alive from now on.
+
+        It belongs in a look in which the rows have the numbers they have in the snapshot.
+        """
+        found = np.fromiter(rows, dtype=np.int64)
+        found = np.sort(found[~self._checked[found]])
+        passed = True
+        for low in range(0, len(found), _CHECKED):
+            some = found[low : low + _CHECKED]
+            noted = catalog.sums_at(some)
+            wrong = (noted != UNKNOWN) & (noted != vectors.sums(self._snapshot.rows.take(some)))
+            self._checked[some] = True
+            self._damaged[some[wrong]] = True
+            passed = passed and not wrong.any()
+        return passed
 
 
-def listed(table: Ledger) -> Iterator[tuple[Photo, str]]:
-    """Every photo with its content, in order of row; memory stays small.
+def verify(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]:
+    """Read everything and say what is wrong, a sentence each; empty means sound.
 
-    Raises:
-        StoreError: If the index is compacted meanwhile so that there is no telling where to go on.
+    Args:
+        catalog: The photos.
+        look: Gives the latest commit.
     """
-    told: list[tuple[int, str]] = []
-    matrix = ""
-    while True:
-        with table.reading():
-            now = table.committed().matrix
-            if now != matrix:
-                told, matrix = _where_now(table, told), now
-            page = table.after(told[-1][0] if told else -1)
-        if not page:
-            return
-        told = [*told, *((row, identity) for row, _, identity in page)][-_KEPT:]
-        yield from ((photo, identity) for _, photo, identity in page)
-
-
-def at_rows(table: Ledger, seen: Snapshot, rows: Iterable[int]) -> dict[int, tuple[Photo, str]] | None:
-    """Photos and contents of a snapshot's rows; None where the rows have other numbers by now."""
-    with table.reading():
-        if table.committed().matrix != seen.rows.path.name:
-            return None
-        return table.at_rows(rows)
-
-
-def pages(table: Ledger, look: Looks) -> Iterator[Page]:
-    """What one commit holds, some photos at a time, in order of row.
-
-    Raises:
-        StoreError: If the index is compacted meanwhile.
-    """
-    with table.reading():
-        seen, sums = look(), table.sums()
-        lost = table.live_rows(start=seen.rows.held).tolist()
-    for start, block, good in checked(seen.rows, seen.alive, sums):
-        alive = seen.alive[start : start + len(block)]
-        held = _still(table, seen, (start + alive.nonzero()[0]).tolist())
-        rows = [row for row in held if good[row - start]]
-        yield Page(
-            [held[row][0] for row in rows],
-            [held[row][1] for row in rows],
-            block[[row - start for row in rows]],
-            [held[row][0].path for row in held if not good[row - start]],
-        )
-    if lost:
-        gone = [photo.path for photo, _ in _still(table, seen, lost).values()]
-        yield Page([], [], seen.rows.take([]), gone)
-
-
-def verify(table: Ledger, look: Looks) -> list[str]:
-    """Read everything and say what is wrong, a sentence each; empty means sound."""
     said: list[str] = []
-    for part in (_table_trouble, _matrix_trouble):
+    for part in (partial(catalog_trouble, catalog), partial(vectors_trouble, catalog, look)):
         try:
-            said += part(table, look)
+            said += part()
         except StoreError as error:  # so damaged that it cannot be read: that is what we were asked for
             said.append(str(error))
     return list(dict.fromkeys(said))
 
 
-def _table_trouble(table: Ledger, _: Looks) -> list[str]:
-    return complaints(table)
+def catalog_trouble(catalog: Catalog) -> list[str]:
+    """What is wrong with the table of photos, a sentence each."""
+    with catalog.reading():
+        catalog.committed()
+        said = [text for (text,) in catalog.select("PRAGMA integrity_check") if text != "ok"]
+        ((rows,),) = catalog.select("SELECT rows FROM committed")
+        ((count, top),) = catalog.select("SELECT COUNT(*), COALESCE(MAX(row), -1) FROM photos")
+        if (count, top) != (rows, rows - 1):
+            said.append(f"it lists {count} photos up to row {top}, but {rows} rows were committed")
+        said = [f"{catalog.path} is damaged ({text}): restore it, or index the photos again" for text in said]
+        # As they are written, whatever number a row has: a damaged one may have any.
+        last = -(1 << 63)
+        sql = f"SELECT {PHOTO} FROM photos WHERE removed = 0 AND row > ? ORDER BY row LIMIT 1000"
+        while page := catalog.select(sql, (last,)):
+            said += filter(None, map(row_trouble, page))
+            last = page[-1][0]
+        return said
 
 
-def _matrix_trouble(table: Ledger, look: Looks) -> list[str]:
+def vectors_trouble(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]:
+    """What is wrong with the file of descriptors, a sentence for each photo hit."""
     named = None
     while named is None:  # again, where a compaction came between
-        with table.reading():
-            seen, sums = look(), table.sums()
-            lost = table.live_rows(start=seen.rows.held).tolist()
+        with catalog.reading():
+            seen, sums = look(), catalog.sums()
+            lost = catalog.live_rows(start=seen.rows.held).tolist()
         bad = damaged(seen.rows, seen.alive, sums)
-        named = at_rows(table, seen, [*bad, *lost])
+        named = catalog.photos_at([*bad, *lost], vectors=seen.rows.path.name)
     said = []
     if lost:
         said.append(
@@ -293,24 +247,3 @@ def _matrix_trouble(table: Ledger, look: Looks) -> list[str]:
         "index it again"
         for row, (photo, _) in named.items()
     ]
-
-
-def _still(table: Ledger, seen: Snapshot, rows: list[int]) -> dict[int, tuple[Photo, str]]:
-    held = at_rows(table, seen, rows)
-    if held is None:
-        raise _compacted(table)
-    return dict(sorted(held.items()))
-
-
-def _where_now(table: Ledger, told: Sequence[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Of rows and contents before a compaction those still there, at the rows they have after it."""
-    now = table.rows_of([identity for _, identity in told])
-    # A compaction moves photos down only: one that is higher was removed and added again.
-    still = sorted((now[identity], identity) for row, identity in told if now.get(identity, row + 1) <= row)
-    if told and not still:
-        raise _compacted(table)
-    return still
-
-
-def _compacted(table: Ledger) -> StoreError:
-    return StoreError(f"{table.path.parent} was compacted while it was read: try again")
