@@ -50,9 +50,10 @@ def commands_of(block: Block) -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `salad demo` leaves, smaller: 24 photos of a drive and 8 of later visits."""
+    """What `salad demo` leaves, smaller: 24 photos of a drive, 8 of later visits, and an index."""
     home = tmp_path_factory.mktemp("drawn")
     draw_town(home / "town", references=24, queries=8, size=(240, 180), workers=1)
+    assert run(["index", str(home / "town" / "references"), "--to", str(home / "town.index")]) == 0
     return home
 
 

@@ -56,16 +56,20 @@ def _sections(page: str) -> dict[str, str]:
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
-def _examples(section: str) -> Iterator[list[str]]:
-    """The words of every example that is a salad command, of those behind a pipe too."""
-    for block in re.findall(r"^```console\n(.*?)^```$", section, flags=re.MULTILINE | re.DOTALL):
-        for line in block.splitlines():
-            for words in _piped(shlex.split(line, comments=True)):
-                if words[:1] == ["salad"]:
-                    yield words[1:]
+def _examples(page: str) -> Iterator[list[str]]:
+    """The words of every command of salad in a page's blocks, of those behind a pipe too."""
+    for block in re.findall(r"^```(?:console|bash|sh)?\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL):
+        for line in block.replace("\\\n", " ").splitlines():
+            for part in _piped(line.removeprefix("$ ")):
+                if part[:1] == ["salad"]:
+                    yield part[1:]
 
 
-def _piped(words: list[str]) -> Iterator[list[str]]:
+def _piped(line: str) -> Iterator[list[str]]:
+    try:
+        words = shlex.split(line, comments=True)
+    except ValueError:  # a block of some other kind: a picture in letters, say
+        return
     while "|" in words:
         yield words[: words.index("|")]
         words = words[words.index("|") + 1 :]
@@ -101,17 +105,15 @@ def test_no_option_is_invented(pages: dict[str, str], real: dict[str, dict[str, 
 def test_every_example_is_understood(pages: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     for command in COMMANDS.values():
         monkeypatch.setattr(command, "run", lambda self: 0)  # parsed for real, and no more
-    examples = list(_examples(pages[PAGE]))
-    assert len(examples) > 60
-    for words in examples:
-        assert run(words) == 0, words
+    assert len(list(_examples(pages[PAGE]))) > 60
+    for name, page in pages.items():
+        for words in _examples(page):
+            if not {"...", "…"} & set(words):  # what stands for the rest of a line
+                assert run(words) == 0, f"{name}: {words}"
 
 
 def test_the_docs_know_no_other_command(pages: dict[str, str]) -> None:
-    known = set(COMMANDS)
     for name, page in pages.items():
         for command in re.findall(r"`salad ([a-z]+)", page):
-            assert command in known or (command, name) == ("pairs", "docs/tutorials/sfm.md"), f"{name}: {command}"
-        for block in re.findall(r"^```(?:console|bash|sh)?\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL):
-            for command in re.findall(r"^(?:\$ )?salad ([a-z]+)", block, flags=re.MULTILINE):
-                assert command in known, f"{name}: {command}"
+            planned = (command, name) == ("pairs", "docs/tutorials/sfm.md")  # said to be missing
+            assert command in COMMANDS or planned, f"{name}: {command}"
