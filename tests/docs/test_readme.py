@@ -29,7 +29,9 @@ def test_the_home_page_runs(pages: dict[str, str], follow: Callable[[str], int])
 
 def test_readme_fits_and_shows_the_two_commands() -> None:
     assert len(README.splitlines()) <= 120
-    assert README.index("pip install salad-vpr") < README.index("import salad") < README.index("docs/demo.png")
+    assert (
+        README.index("pip install salad-vpr") < README.index("import salad") < README.index("docs/demo.png")
+    )
     assert "bash scripts/demo" in README
     assert "bash scripts/test" in README
 
