@@ -23,8 +23,11 @@ def test_readme_runs(
     assert "alike:" in capsys.readouterr().out
 
 
-def test_the_home_page_runs(pages: dict[str, str], follow: Callable[[str], int]) -> None:
-    assert follow(pages["docs/index.md"]) == 2
+@pytest.mark.parametrize("page", ["docs/index.md", "docs/reference/python.md"])
+def test_a_page_that_begins_with_the_demo_runs(
+    page: str, pages: dict[str, str], follow: Callable[[str], int]
+) -> None:
+    assert follow(pages[page]) == 2
 
 
 def test_readme_fits_and_shows_the_two_commands() -> None:
