@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from salad.cli import run
-from salad.data.town import draw_town
+from salad.cli.main import run
+from salad.demo.town.town import draw_town
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from salad.cli import COMMANDS, run
+from salad.cli.main import COMMANDS, run
 
 PAGE = "docs/reference/command-line.md"
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*\b")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 import shutil
 from collections.abc import Callable
@@ -66,14 +67,29 @@ def test_every_script_the_docs_name_is_there(pages: dict[str, str]) -> None:
             assert (ROOT / name).exists(), name
 
 
-# Pages that tell of rooms which are being built; take a page out of here when all its rooms stand.
-AHEAD = {"CONTRIBUTING.md", "docs/extending.md"}
+AHEAD = {"models/engines.py"}  # a room that is being built; take it out when it stands
+BEING_WRITTEN = "docs/architecture.md"  # follows the rooms once they are settled; then this goes
 
 
 def test_every_source_file_the_docs_name_is_there(pages: dict[str, str]) -> None:
+    seen = 0
     for name, page in pages.items():
-        if name in AHEAD:
+        if name == BEING_WRITTEN:
             continue
-        for path in re.findall(r"`((?:\w+/)*\w+\.py)`", page):
+        for path in set(re.findall(r"`((?:\w+/)*\w+\.py)`", page)) - AHEAD:
             there = (ROOT / path).is_file() or any((ROOT / "src" / "salad").rglob(path))
             assert there, f"{name}: {path}"
+            seen += 1
+    assert seen > 20
+
+
+def test_every_dotted_name_the_docs_use_is_there(pages: dict[str, str]) -> None:
+    """`salad.room.module.name`, in prose and in imports: rooms are moved more easily than words about them."""
+    named: set[str] = set()
+    for page in pages.values():
+        named |= {path for path in re.findall(r"`(salad(?:\.\w+)+)", page) if not path.endswith(".py")}
+        imports = re.findall(r"^from (salad[\w.]*) import (\w+)$", page, flags=re.MULTILINE)
+        named |= {f"{module}.{what}" for module, what in imports}
+    assert len(named) > 5
+    for path in named:
+        assert pkgutil.resolve_name(path) is not None
