@@ -19,7 +19,7 @@ from held_out import DATA, drawn, leave_out, told
 
 from salad.models.describer import build
 from salad.training.batches import ImageCache
-from salad.training.checkpoint import CHECKPOINT, State
+from salad.training.checkpoint import CHECKPOINT, TrainingState
 from salad.training.recipe import PRESETS
 from salad.training.trainer import train
 from salad.training.validation import precision_held_out
@@ -55,8 +55,8 @@ def main() -> None:
     )
     with ImageCache(preset.model.preprocessing) as shelf:
         for share in SHARES:
-            state = State(build(preset.model), tuned_share=share)
-            state.take_up(saved)
+            state = TrainingState(build(preset.model), tuned_share=share)
+            state.load_state_dict(saved)
             kept = state.kept().eval()
             there = [precision_held_out(kept, some, shelf) for some in (unknown, held_out)]
             print(f"share {share:.2f}: {' | '.join(map(told, there))}", flush=True)

@@ -22,7 +22,8 @@ from salad.models.describer import Describer, build
 from salad.network.aggregator_config import AGGREGATORS, GemConfig
 from salad.network.config import Preprocessing
 from salad.training.recipe import PRESETS
-from salad.training.start import fit, needs_fitting, start_backbone
+from salad.training.start import start_backbone
+from salad.training.vocabulary import fit, needs_fitting
 
 
 def untrained(pooling: str = "gem") -> Describer:

@@ -52,7 +52,7 @@ def observed(
     """Train; each step's loss and gradients as this process had them, and the photos it read."""
     seen: list[dict[str, Any]] = []
     read: list[str] = []
-    learn, array = trainer.learn, ImageCache.photos
+    learn, array = trainer.backward_in_parts, ImageCache.photos
 
     def watched(fabric: Any, module: Any, **settings: Any) -> torch.Tensor:
         loss = learn(fabric, module, **settings)
@@ -65,11 +65,14 @@ def observed(
         read.clear()
         return loss
 
-    def reading(shelf: ImageCache, views: Any) -> Any:
+    def reading(images: ImageCache, views: Any) -> Any:
         read.extend(f"{view.place.name}/{view.path.name}" for view in views)
-        return array(shelf, views)
+        return array(images, views)
 
-    with mock.patch.object(trainer, "learn", watched), mock.patch.object(ImageCache, "photos", reading):
+    with (
+        mock.patch.object(trainer, "backward_in_parts", watched),
+        mock.patch.object(ImageCache, "photos", reading),
+    ):
         trainer.train(
             Preset(MODEL, "", Recipe(**(RECIPE | recipe))),
             find_places(photos),
@@ -87,7 +90,7 @@ def observed(
 def waiting(where: str) -> Iterator[None]:
     """Say so and wait to be killed: `step N` after that step, or `saving N` with half of that checkpoint written."""
     at, number = where.split()
-    save, step = torch.save, trainer._Run._step
+    save, step = torch.save, trainer._Trainer._step
 
     def wait() -> None:
         print("waiting", flush=True)  # noqa: T201  # to the test that kills
@@ -106,7 +109,7 @@ def waiting(where: str) -> Iterator[None]:
 
     with (
         mock.patch.object(checkpoint.torch, "save", saving),
-        mock.patch.object(trainer._Run, "_step", stepping),
+        mock.patch.object(trainer._Trainer, "_step", stepping),
     ):
         yield
 

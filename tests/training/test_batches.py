@@ -12,38 +12,39 @@ import torch
 
 from salad.datasets.training_place import TrainingPlace, View
 from salad.errors import ModelError
+from salad.images.decode import decode
 from salad.models.describer import build
 from salad.network.config import ModelConfig
-from salad.training.batches import BatchLoader, divided, sampler_of, steps_of
+from salad.training.batches import BatchLoader, build_sampler, check_processes, count_steps
 from salad.training.recipe import Recipe
 
 
-def _feed(
+def _batches(
     config: ModelConfig, places: list[TrainingPlace], recipe: Recipe, *, rank: int = 0, ranks: int = 1
 ) -> BatchLoader:
     fabric: Any = SimpleNamespace(device=torch.device("cpu"), global_rank=rank, world_size=ranks)
-    return BatchLoader(build(config), recipe, places, sampler=sampler_of(recipe, places), fabric=fabric)
+    return BatchLoader(build(config), recipe, places, sampler=build_sampler(recipe, places), fabric=fabric)
 
 
 def test_mirrored_places_are_mirrored_before_anything_else(
     lite: ModelConfig, places: list[TrainingPlace], recipe: Recipe
 ) -> None:
-    feed = _feed(lite, places, dataclasses.replace(recipe, augment="none"))
+    batches = _batches(lite, places, dataclasses.replace(recipe, augment="none"))
     path = places[0].photos[0]
     views = [View(path, 0, mirrored, places[0]) for mirrored in (False, True)]
-    plain, mirrored = feed.images(views)
-    torch.testing.assert_close(plain, feed.model.prepare([path])[0])
+    plain, mirrored = batches.changed(views)
+    torch.testing.assert_close(plain, batches.model.prepare([path])[0])
     torch.testing.assert_close(mirrored, plain.flip(-1))
-    feed.close()
+    batches.close()
 
 
 def test_photos_may_be_smaller_in_training(
     lite: ModelConfig, places: list[TrainingPlace], recipe: Recipe
 ) -> None:
-    feed = _feed(lite, places, dataclasses.replace(recipe, size=24, at_once=4))
-    parts = feed.parts(0, feed.batch(0))
+    batches = _batches(lite, places, dataclasses.replace(recipe, size=24, at_once=4))
+    parts = batches.parts(0, batches.batch(0))
     assert [tuple(part.shape) for part in parts] == [(4, 3, 24, 24), (2, 3, 24, 24)]
-    feed.close()
+    batches.close()
 
 
 @pytest.mark.parametrize("augment", ["lite", "none"])
@@ -51,11 +52,11 @@ def test_the_last_steps_may_see_photos_as_large_as_in_use(
     lite: ModelConfig, places: list[TrainingPlace], recipe: Recipe, augment: Any
 ) -> None:
     small = dataclasses.replace(recipe, size=24, full_steps=1, augment=augment)
-    feed = _feed(lite, places, small)
+    batches = _batches(lite, places, small)
     last = small.head_steps + small.tune_steps - 1
-    sides = [feed.parts(step, feed.batch(step))[0].shape[-1] for step in range(last + 1)]
+    sides = [batches.parts(step, batches.batch(step))[0].shape[-1] for step in range(last + 1)]
     assert sides == [24] * last + [lite.preprocessing.width]
-    feed.close()
+    batches.close()
 
 
 def test_broken_photos_are_told_once_by_whichever_size_met_them(
@@ -63,58 +64,54 @@ def test_broken_photos_are_told_once_by_whichever_size_met_them(
 ) -> None:
     broken = tmp_path / "broken.jpg"
     broken.write_bytes(b"no photo")
-    feed = _feed(lite, places, dataclasses.replace(recipe, size=24, full_steps=1, augment="none"))
+    batches = _batches(lite, places, dataclasses.replace(recipe, size=24, full_steps=1, augment="none"))
     place = dataclasses.replace(places[0], photos=(broken, *places[0].photos))
     for full in (False, True):
-        feed.images([View(broken, 0, False, place)], full=full)
-    assert len(feed.news()) == 2
-    assert feed.news() == []
-    feed.close()
+        batches.changed([View(broken, 0, False, place)], full=full)
+    assert len(batches.newly_unreadable()) == 2
+    assert batches.newly_unreadable() == []
+    batches.close()
 
 
 def test_every_process_reads_its_share_alone(
     lite: ModelConfig, places: list[TrainingPlace], recipe: Recipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = dataclasses.replace(recipe, augment="none")
-    whole = _feed(lite, places, plain)
+    whole = _batches(lite, places, plain)
     (images,) = whole.parts(0, whole.batch(0))
     opened: list[Path] = []
-    monkeypatch.setattr("salad.training.batches._decoded", _noting(opened))
+    monkeypatch.setattr("salad.training.batches.decode", _noting(opened))
     shares = []
     for rank in range(4):
         opened.clear()
-        feed = _feed(lite, places, plain, rank=rank, ranks=4)
-        feed.shelf.expect = lambda _: None  # not the next batch too
-        batch = feed.batch(0)
-        shares += feed.parts(0, batch)
-        assert set(opened) == {view.path for view in feed.share(batch)}
-        assert torch.equal(feed.labels(batch), whole.labels(whole.batch(0)))
-        feed.close()
+        batches = _batches(lite, places, plain, rank=rank, ranks=4)
+        batches.images.prefetch = lambda _: None  # not the next batch too
+        batch = batches.batch(0)
+        shares += batches.parts(0, batch)
+        assert set(opened) == {view.path for view in batches.rank_slice(batch)}
+        assert torch.equal(batches.labels(batch), whole.labels(whole.batch(0)))
+        batches.close()
     assert [len(share) for share in shares] == [1, 2, 1, 2]
     torch.testing.assert_close(torch.cat(shares), images)
     whole.close()
 
 
 def _noting(opened: list[Path]) -> Any:
-    from salad.training import batches
-
-    decoded = batches._decoded
-
-    def noted(path: Path, to: Any) -> Any:
+    def noted(path: Path, *size: Any) -> Any:
         opened.append(path)
-        return decoded(path, to)
+        return decode(path, *size)
 
     return noted
 
 
 def test_steps_are_counted_or_follow_from_epochs(places: list[TrainingPlace]) -> None:
     plain = Recipe(places=2, views=2, head_steps=3, tune_steps=5)
-    assert steps_of(plain, sampler_of(plain, places)) == (3, 8)
+    assert count_steps(plain, build_sampler(plain, places)) == (3, 8)
     epochs = dataclasses.replace(plain, epochs=4, sampler="one-city", mirror=False)
-    assert steps_of(epochs, sampler_of(epochs, places)) == (3, 3 + 4 * 3)  # six places, two a batch
+    assert count_steps(epochs, build_sampler(epochs, places)) == (3, 3 + 4 * 3)  # six places, two a batch
 
 
 def test_a_batch_must_reach_every_process() -> None:
-    divided(Recipe(places=2, views=2), 4)
+    check_processes(Recipe(places=2, views=2), 4)
     with pytest.raises(ModelError, match="2 places x 2 photos leaves some of 5 processes without any"):
-        divided(Recipe(places=2, views=2), 5)
+        check_processes(Recipe(places=2, views=2), 5)

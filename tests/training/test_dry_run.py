@@ -16,13 +16,13 @@ from salad.models.model_folder import write_folder
 from salad.network.aggregator_config import RouteConfig
 from salad.network.config import ModelConfig
 from salad.training import dry_run
-from salad.training.devices import launched
-from salad.training.dry_run import Cost, measured, plan
+from salad.training.devices import launch_fabric
+from salad.training.dry_run import StepCost, measure_step
 from salad.training.recipe import Preset, Recipe
 
 
 def _plan(config: ModelConfig, recipe: Recipe, places: Any = None, **options: Any) -> dict[str, Any]:
-    return plan(Preset(config, "", recipe), places, accelerator="cpu", **options)
+    return dry_run.dry_run(Preset(config, "", recipe), places, accelerator="cpu", **options)
 
 
 def test_everything_is_told_and_nothing_written(
@@ -54,11 +54,11 @@ def test_the_last_steps_at_full_size_cost_what_they_cost(
 ) -> None:
     sizes: list[int | None] = []
 
-    def cost(_: Any, recipe: Recipe, **__: Any) -> Cost:
+    def cost(_: Any, recipe: Recipe, **__: Any) -> StepCost:
         sizes.append(recipe.size)
-        return Cost(60.0, 10.0) if recipe.size else Cost(180.0, 500.0)
+        return StepCost(60.0, 10.0) if recipe.size else StepCost(180.0, 500.0)
 
-    monkeypatch.setattr(dry_run, "measured", cost)
+    monkeypatch.setattr(dry_run, "measure_step", cost)
     told = _plan(vit, dataclasses.replace(recipe, head_steps=3, tune_steps=5, size=28, full_steps=2))
     assert sizes == [28, 28, None]
     assert told["tune"].startswith("3 steps, 1 blocks trained, about 60.00 s")
@@ -107,10 +107,10 @@ def test_beside_a_model_that_stays_only_the_layout_is_counted(
     assert told["start"] == str(folder)
 
 
-def _cost(config: ModelConfig, recipe: Recipe, *, blocks: int = 1, cached: bool = False) -> Cost:
+def _cost(config: ModelConfig, recipe: Recipe, *, blocks: int = 1, cached: bool = False) -> StepCost:
     model = build(config)
     model.backbone.train_last(blocks)
-    return measured(model, recipe, fabric=launched("cpu", "32-true"), cached=cached)
+    return measure_step(model, recipe, fabric=launch_fabric("cpu", "32-true"), cached=cached)
 
 
 def test_memory_follows_what_passes_at_once_and_what_is_trained(
@@ -134,7 +134,7 @@ def test_time_grows_with_the_batch(vit: ModelConfig, recipe: Recipe, monkeypatch
 
 
 def test_what_a_step_holds_is_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    held = dry_run._Held()
+    held = dry_run._HeldBytes()
     x = torch.ones(1000, requires_grad=True) * 1.0
     with held:
         y = x.exp()  # holds its result

@@ -12,8 +12,8 @@ from torch import nn
 from salad.models.describer import Describer, build
 from salad.network.config import ModelConfig
 from salad.network.tokens import Tokens
-from salad.training.devices import launched, share_of, step_seed, stirred
-from salad.training.gradient_cache import learn
+from salad.training.devices import combined_seed, launch_fabric, rank_slice, step_seed
+from salad.training.gradient_cache import backward_in_parts
 from salad.training.optim import multi_similarity
 
 LABELS = torch.arange(5).repeat_interleave(2)  # of ten photos
@@ -42,10 +42,12 @@ def _learnt(
     model: Describer, at_once: int, *, precision: Any = "32-true"
 ) -> tuple[float, dict[str, torch.Tensor]]:
     model.zero_grad()
-    fabric = launched("cpu", precision)
+    fabric = launch_fabric("cpu", precision)
     module = fabric.setup(model)
     parts = list(torch.split(_photos(), at_once))
-    loss = learn(fabric, module, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED)
+    loss = backward_in_parts(
+        fabric, module, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED
+    )
     return float(loss), _gradients(model)
 
 
@@ -54,11 +56,11 @@ def _plain(
 ) -> tuple[float, dict[str, torch.Tensor]]:
     """The same by one way back through everything, each part's hidden numbers dropped as they will be."""
     model.zero_grad()
-    fabric = launched("cpu", precision)
+    fabric = launch_fabric("cpu", precision)
     module = fabric.setup(model)
     described = []
     for number, part in enumerate(torch.split(_photos(), at_once)):
-        torch.manual_seed(stirred(SEED, number))
+        torch.manual_seed(combined_seed(SEED, number))
         described.append(module(part).float())
     loss = multi_similarity()(torch.cat(described), LABELS)
     fabric.backward(loss)
@@ -100,7 +102,7 @@ def test_what_is_dropped_at_random_is_dropped_both_times(
 
 def test_a_batch_at_once_is_the_plain_way(vit: ModelConfig) -> None:
     model = _made(vit, dropout=0.5)
-    torch.manual_seed(stirred(SEED, 0))
+    torch.manual_seed(combined_seed(SEED, 0))
     _, found = _learnt(model, len(LABELS))
     _, wanted = _plain(model, len(LABELS))
     for name, gradient in wanted.items():
@@ -125,13 +127,13 @@ def test_tokens_are_parts_too(vit: ModelConfig) -> None:
     with torch.no_grad():
         tokens = model.tokens(_photos())
     model.zero_grad()
-    fabric = launched("cpu", "32-true")
+    fabric = launch_fabric("cpu", "32-true")
     head = fabric.setup(model.aggregator)
     parts = [
         Tokens(patches, scene, tokens.grid, tokens.stride)
         for patches, scene in zip(torch.split(tokens.patches, 4), torch.split(tokens.scene, 4), strict=True)
     ]
-    learn(fabric, head, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED)
+    backward_in_parts(fabric, head, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED)
     _close(_gradients(model), wanted, within=1e-5)
 
 
@@ -147,7 +149,7 @@ def test_descriptors_that_are_no_numbers_are_no_loss_of_nothing(vit: ModelConfig
 @pytest.mark.parametrize("ranks", [1, 2, 3, 8])
 @pytest.mark.parametrize("total", [8, 9, 23, 240])
 def test_everything_is_one_processes_share(total: int, ranks: int) -> None:
-    shares = [share_of(total, rank, ranks) for rank in range(ranks)]
+    shares = [rank_slice(total, rank, ranks) for rank in range(ranks)]
     assert [number for share in shares for number in range(total)[share]] == list(range(total))
     sizes = [share.stop - share.start for share in shares]
     assert max(sizes) - min(sizes) <= 1
@@ -156,5 +158,5 @@ def test_everything_is_one_processes_share(total: int, ranks: int) -> None:
 
 def test_no_two_steps_parts_or_processes_share_a_seed() -> None:
     seeds = [step_seed(seed, step, rank) for seed in range(3) for step in range(50) for rank in range(4)]
-    seeds += [stirred(step, part) for step in range(20) for part in range(8)]
+    seeds += [combined_seed(step, part) for step in range(20) for part in range(8)]
     assert len(set(seeds)) == len(seeds)

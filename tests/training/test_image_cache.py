@@ -1,4 +1,4 @@
-"""The shelf: photos read ahead and kept within memory; a broken one is never shown, another of its place is."""
+"""The images: photos read ahead and kept within memory; a broken one is never shown, another of its place is."""
 
 from __future__ import annotations
 
@@ -60,45 +60,45 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Counter[Path]:
 
 
 @pytest.fixture
-def shelf() -> Iterator[ImageCache]:
+def images() -> Iterator[ImageCache]:
     with ImageCache(SIZE) as made:
         yield made
 
 
-def test_a_batch_is_its_photos_in_order(tmp_path: Path, shelf: ImageCache) -> None:
+def test_a_batch_is_its_photos_in_order(tmp_path: Path, images: ImageCache) -> None:
     one, two = place(tmp_path, "a", [10, 20, 30]), place(tmp_path, "b", [40, 50])
-    assert reds(shelf.photos([*views(one, 2, 0), *views(two, 1, label=1), *views(one, 2)])) == [
+    assert reds(images.photos([*views(one, 2, 0), *views(two, 1, label=1), *views(one, 2)])) == [
         30,
         10,
         50,
         30,
     ]
-    assert shelf.broken == {}
-    assert shelf.news() == ""
-    np.testing.assert_array_equal(shelf.array(one.photos[0]), decode(one.photos[0], 4, 6, "bilinear"))
+    assert images.broken == {}
+    assert images.newly_unreadable() == ""
+    np.testing.assert_array_equal(images.array(one.photos[0]), decode(one.photos[0], 4, 6, "bilinear"))
 
 
-def test_a_photo_is_read_once(tmp_path: Path, shelf: ImageCache, read: Counter[Path]) -> None:
+def test_a_photo_is_read_once(tmp_path: Path, images: ImageCache, read: Counter[Path]) -> None:
     shown = place(tmp_path, "a", [10, 20])
     for _ in range(3):
-        assert reds(shelf.photos(views(shown, 0, 1, 0))) == [10, 20, 10]
+        assert reds(images.photos(views(shown, 0, 1, 0))) == [10, 20, 10]
     assert set(read.values()) == {1}
 
 
 def test_memory_is_bounded_and_what_came_first_stays(tmp_path: Path, read: Counter[Path]) -> None:
     shown = place(tmp_path, "a", [10, 20, 30, 40])
-    with ImageCache(SIZE, megabytes=1) as shelf:
-        shelf._room = 2
+    with ImageCache(SIZE, megabytes=1) as images:
+        images._room = 2
         for _ in range(3):
-            assert reds(shelf.photos(views(shown, 0, 1, 2, 3, 3))) == [10, 20, 30, 40, 40]
+            assert reds(images.photos(views(shown, 0, 1, 2, 3, 3))) == [10, 20, 30, 40, 40]
     assert [read[path] for path in shown.photos] == [1, 1, 3, 3]
 
 
 def test_room_is_counted_in_megabytes() -> None:
-    with ImageCache(SIZE, megabytes=3) as shelf:
-        assert shelf._room == 3_000_000 // BYTES
-    with ImageCache(SIZE, megabytes=0) as shelf:
-        assert shelf._room == 0
+    with ImageCache(SIZE, megabytes=3) as images:
+        assert images._room == 3_000_000 // BYTES
+    with ImageCache(SIZE, megabytes=0) as images:
+        assert images._room == 0
 
 
 def test_what_is_expected_is_read_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,10 +110,10 @@ def test_what_is_expected_is_read_meanwhile(tmp_path: Path, monkeypatch: pytest.
         return decode(path, *size)
 
     monkeypatch.setattr(shelves, "decode", tell)
-    with ImageCache(SIZE) as shelf:
-        shelf.expect(views(shown, 1))
+    with ImageCache(SIZE) as images:
+        images.prefetch(views(shown, 1))
         assert begun.wait(60)
-        assert reds(shelf.photos(views(shown, 1))) == [20]
+        assert reds(images.photos(views(shown, 1))) == [20]
 
 
 @pytest.mark.parametrize("before", [True, False])
@@ -123,80 +123,82 @@ def test_a_loop_that_looks_ahead_reads_nothing_twice(
     """Whether the next batch is announced before or after this one is fetched."""
     shown = place(tmp_path, "a", [10, 20, 30, 40, 50, 60])
     batches = [views(shown, number, (number + 3) % 6) for number in range(3)]
-    with ImageCache(SIZE, megabytes=0) as shelf:
-        shelf.expect(batches[0])
+    with ImageCache(SIZE, megabytes=0) as images:
+        images.prefetch(batches[0])
         for number, batch in enumerate(batches):
             if before:
-                shelf.expect(batches[(number + 1) % 3])
-            fetched = reds(shelf.photos(batch))
+                images.prefetch(batches[(number + 1) % 3])
+            fetched = reds(images.photos(batch))
             assert fetched == [10 * (number + 1), 10 * ((number + 3) % 6 + 1)]
             if not before:
-                shelf.expect(batches[(number + 1) % 3])
+                images.prefetch(batches[(number + 1) % 3])
     assert max(read[view.path] for view in [*batches[1], *batches[2]]) == 1
 
 
 def test_what_was_expected_in_vain_is_let_go(tmp_path: Path) -> None:
     shown = place(tmp_path, "a", [10, 20, 30, 40, 50])
-    with ImageCache(SIZE, megabytes=0) as shelf:
+    with ImageCache(SIZE, megabytes=0) as images:
         for number in range(5):
-            shelf.expect(views(shown, number))
-        assert sum(map(len, shelf._ahead)) == 2
-        assert reds(shelf.photos(views(shown, 0, 4))) == [10, 50]
-        assert sum(map(len, shelf._ahead)) == 1
+            images.prefetch(views(shown, number))
+        assert sum(map(len, images._ahead)) == 2
+        assert reds(images.photos(views(shown, 0, 4))) == [10, 50]
+        assert sum(map(len, images._ahead)) == 1
 
 
-def test_another_photo_of_the_place_stands_in(tmp_path: Path, shelf: ImageCache) -> None:
+def test_another_photo_of_the_place_stands_in(tmp_path: Path, images: ImageCache) -> None:
     one, two = place(tmp_path, "a", [10, -1, 30, 40]), place(tmp_path, "b", [50, 60, 70, -1])
     batch = [*views(one, 1, 2), *views(two, 3, 1, label=1)]
-    assert reds(shelf.photos(batch)) == [40, 30, 50, 60]  # 30 is shown already, so the next but one
-    assert set(shelf.broken) == {one.photos[1], two.photos[3]}
-    assert all(str(path) in sentence for path, sentence in shelf.broken.items())
+    assert reds(images.photos(batch)) == [40, 30, 50, 60]  # 30 is shown already, so the next but one
+    assert set(images.broken) == {one.photos[1], two.photos[3]}
+    assert all(str(path) in sentence for path, sentence in images.broken.items())
     with ImageCache(SIZE) as other:
-        other.expect(batch)
+        other.prefetch(batch)
         assert reds(other.photos(batch)) == [40, 30, 50, 60]
 
 
-def test_where_all_are_shown_one_is_shown_twice(tmp_path: Path, shelf: ImageCache) -> None:
+def test_where_all_are_shown_one_is_shown_twice(tmp_path: Path, images: ImageCache) -> None:
     shown = place(tmp_path, "a", [10, -1, 30, -1])
-    assert reds(shelf.photos(views(shown, 0, 1, 2, 3))) == [10, 30, 30, 10]
-    assert len(shelf.broken) == 2
+    assert reds(images.photos(views(shown, 0, 1, 2, 3))) == [10, 30, 30, 10]
+    assert len(images.broken) == 2
 
 
-def test_two_that_fall_out_are_two_others_where_there_are(tmp_path: Path, shelf: ImageCache) -> None:
+def test_two_that_fall_out_are_two_others_where_there_are(tmp_path: Path, images: ImageCache) -> None:
     shown = place(tmp_path, "a", [-1, -1, 30, 40, 50])
-    assert reds(shelf.photos(views(shown, 0, 1))) == [30, 40]
+    assert reds(images.photos(views(shown, 0, 1))) == [30, 40]
 
 
-def test_broken_photos_are_told_once_with_their_count(tmp_path: Path, shelf: ImageCache) -> None:
+def test_broken_photos_are_told_once_with_their_count(tmp_path: Path, images: ImageCache) -> None:
     shown = place(tmp_path, "a", [10, -1, 30, -1])
-    shelf.photos(views(shown, 1))
-    assert shelf.news().startswith("1 photo cannot be read, and others of their places stand in; the first: ")
-    shelf.photos(views(shown, 1))
-    assert shelf.news() == ""
+    images.photos(views(shown, 1))
+    assert images.newly_unreadable().startswith(
+        "1 photo cannot be read, and others of their places stand in; the first: "
+    )
+    images.photos(views(shown, 1))
+    assert images.newly_unreadable() == ""
     (tmp_path / "gone").mkdir()
     gone = TrainingPlace("gone", "city", (tmp_path / "gone" / "x.png", *shown.photos))
-    shelf.photos([*views(shown, 3), *views(gone, 0, label=1)])
-    assert shelf.news().startswith("2 photos cannot be read")
-    assert tmp_path / "gone" / "x.png" in shelf.broken
+    images.photos([*views(shown, 3), *views(gone, 0, label=1)])
+    assert images.newly_unreadable().startswith("2 photos cannot be read")
+    assert tmp_path / "gone" / "x.png" in images.broken
 
 
-def test_a_place_without_a_readable_photo_is_a_sentence(tmp_path: Path, shelf: ImageCache) -> None:
+def test_a_place_without_a_readable_photo_is_a_sentence(tmp_path: Path, images: ImageCache) -> None:
     shown = place(tmp_path, "nowhere", [-1, -1])
     with pytest.raises(
         BenchmarkError, match=r"no photo of the place nowhere in city can be read; the first: .*0\.png"
     ):
-        shelf.photos(views(shown, 0))
+        images.photos(views(shown, 0))
 
 
 def test_a_broken_photo_asked_for_by_itself_is_named(
-    tmp_path: Path, shelf: ImageCache, read: Counter[Path]
+    tmp_path: Path, images: ImageCache, read: Counter[Path]
 ) -> None:
     shown = place(tmp_path, "a", [-1])
     for _ in range(2):
         with pytest.raises(PhotoError, match=r"0\.png"):
-            shelf.array(shown.photos[0])
+            images.array(shown.photos[0])
     assert read[shown.photos[0]] == 1
-    assert list(shelf.broken) == [shown.photos[0]]
+    assert list(images.broken) == [shown.photos[0]]
 
 
 def test_real_photos_from_the_layout_they_come_in(shared: Path) -> None:
@@ -205,8 +207,8 @@ def test_real_photos_from_the_layout_they_come_in(shared: Path) -> None:
 
     places = find_places(shared / "data" / "train" / "sfxl-240")
     batch = OneCitySampler(places, per_batch=4, views=2, seed=0).batch(0)
-    with ImageCache(Preprocessing(32, 32)) as shelf:
-        photos = shelf.photos(batch)
+    with ImageCache(Preprocessing(32, 32)) as images:
+        photos = images.photos(batch)
     assert photos.shape == (8, 3, 32, 32)
     assert float(photos.float().std(dim=(1, 2, 3)).min()) > 1  # none is a flat picture
-    assert shelf.broken == {}
+    assert images.broken == {}

@@ -64,7 +64,7 @@ def test_a_full_disk_loses_no_checkpoint(
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint.torch, "save", full)
         with pytest.raises(TrainingError, match=r"checkpoint of step 9 cannot be written .* No space left"):
-            checkpoint.save(tmp_path, {"step": 9})
+            checkpoint.save_checkpoint(tmp_path, {"step": 9})
     assert (tmp_path / "last.ckpt").read_bytes() == before
     assert not list(tmp_path.glob("*.part"))
 

@@ -17,7 +17,7 @@ from salad.network.aggregator_config import PRESETS as PAPERS_AGGREGATORS
 from salad.network.backbones.dinov2 import ViT
 from salad.network.config import VITS, ModelConfig
 from salad.training.augment import augmentation
-from salad.training.optim import multi_similarity, optimizer_of, rate_factor
+from salad.training.optim import build_optimizer, learning_rate_factor, multi_similarity
 from salad.training.recipe import PRESETS, Preset, Recipe, preset
 
 PAPER = PRESETS["paper"]
@@ -75,7 +75,7 @@ def test_the_papers_changes_are_randaugment_of_three() -> None:
 
 def test_the_papers_rate_over_its_iterations() -> None:
     recipe = PAPER.recipe
-    factors = [rate_factor(step, 4160, recipe) for step in (0, 2000, 4000, 4159)]
+    factors = [learning_rate_factor(step, 4160, recipe) for step in (0, 2000, 4000, 4159)]
     assert factors == pytest.approx([1.0, 0.6, 0.2, 0.2])
 
 
@@ -88,7 +88,7 @@ def test_the_papers_last_blocks_norm_and_aggregator_train_by_adamw() -> None:
     wanted = {f"backbone.blocks.{number}." for number in (8, 9, 10, 11)} | {"backbone.norm.", "aggregator."}
     assert {prefix for prefix in wanted if any(name.startswith(prefix) for name in trained)} == wanted
     assert all(name.startswith(tuple(wanted)) for name in trained)
-    optimizer = optimizer_of(model, PAPER.recipe)
+    optimizer = build_optimizer(model, PAPER.recipe)
     assert type(optimizer) is torch.optim.AdamW
     assert {group["weight_decay"] for group in optimizer.param_groups} == {9.5e-9}
 

@@ -17,10 +17,10 @@ from salad.datasets.training_place import TrainingPlace, View
 from salad.models.describer import Describer, build
 from salad.network.backbones.dinov2 import ViT
 from salad.network.config import ModelConfig
-from salad.training.batches import BatchLoader, sampler_of
-from salad.training.devices import launched
+from salad.training.batches import BatchLoader, build_sampler
+from salad.training.devices import launch_fabric
 from salad.training.recipe import Recipe
-from salad.training.token_cache import TokensCache
+from salad.training.token_cache import TokenCache
 
 Teach = Callable[..., Path]
 FROZEN: dict[str, Any] = {"tune_steps": 0, "head_steps": 4, "tuned_blocks": 0, "cache_versions": 2}
@@ -29,13 +29,13 @@ FROZEN: dict[str, Any] = {"tune_steps": 0, "head_steps": 4, "tuned_blocks": 0, "
 @pytest.fixture
 def cache(
     vit: ModelConfig, places: list[TrainingPlace], recipe: Recipe, tmp_path: Path
-) -> Iterator[TokensCache]:
+) -> Iterator[TokenCache]:
     model, settings = build(vit), dataclasses.replace(recipe, **FROZEN)
     model.backbone.train_last(0)
-    sampler = sampler_of(settings, places)
-    feed = BatchLoader(model, settings, places, sampler=sampler, fabric=launched("cpu", "32-true"))
-    yield TokensCache(model, feed, folder=tmp_path)
-    feed.close()
+    sampler = build_sampler(settings, places)
+    batches = BatchLoader(model, settings, places, sampler=sampler, fabric=launch_fabric("cpu", "32-true"))
+    yield TokenCache(model, batches, folder=tmp_path)
+    batches.close()
 
 
 def _view(place: TrainingPlace, *, photo: int = 0, mirrored: bool = False) -> View:
@@ -59,8 +59,8 @@ def _passes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return passed
 
 
-def test_what_is_kept_are_the_backbones_tokens(cache: TokensCache, places: list[TrainingPlace]) -> None:
-    cache.feed.augment = torch.nn.Identity()
+def test_what_is_kept_are_the_backbones_tokens(cache: TokenCache, places: list[TrainingPlace]) -> None:
+    cache.batches.augment = torch.nn.Identity()
     kept = cache.kept(_view(places[0]), 0)
     with torch.no_grad():
         tokens = cache.model.tokens(cache.model.prepare([places[0].photos[0]]))
@@ -73,7 +73,7 @@ def test_what_is_kept_are_the_backbones_tokens(cache: TokensCache, places: list[
 
 
 def test_a_version_is_described_once_and_is_its_own(
-    cache: TokensCache, places: list[TrainingPlace], monkeypatch: pytest.MonkeyPatch
+    cache: TokenCache, places: list[TrainingPlace], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     passed = _passes(monkeypatch)
     asked = [(_view(places[0]), 0), (_view(places[0]), 1), (_view(places[0], mirrored=True), 0)]
@@ -87,7 +87,7 @@ def test_a_version_is_described_once_and_is_its_own(
     assert passed == [1] * 4
 
 
-def test_describing_disturbs_no_chance(cache: TokensCache, places: list[TrainingPlace]) -> None:
+def test_describing_disturbs_no_chance(cache: TokenCache, places: list[TrainingPlace]) -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
@@ -95,7 +95,7 @@ def test_describing_disturbs_no_chance(cache: TokensCache, places: list[Training
     assert torch.equal(torch.rand(3), expected)
 
 
-def test_a_damaged_file_is_made_again(cache: TokensCache, places: list[TrainingPlace]) -> None:
+def test_a_damaged_file_is_made_again(cache: TokenCache, places: list[TrainingPlace]) -> None:
     kept = cache.kept(_view(places[0]), 0)
     (file,) = cache.folder.rglob("*.safetensors")
     for content in (b"", b"\x08\x00\x00\x00\x00\x00\x00\x00garbage!"):
@@ -105,7 +105,7 @@ def test_a_damaged_file_is_made_again(cache: TokensCache, places: list[TrainingP
 
 
 def test_another_content_is_another_photo(
-    cache: TokensCache, places: list[TrainingPlace], tmp_path: Path
+    cache: TokenCache, places: list[TrainingPlace], tmp_path: Path
 ) -> None:
     photo = tmp_path / "photo.png"
     photo.write_bytes(places[0].photos[0].read_bytes())
@@ -119,13 +119,15 @@ def test_another_content_is_another_photo(
 
 
 def test_what_else_decides_tokens_has_a_folder_of_its_own(
-    cache: TokensCache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cache: TokenCache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def folder(model: Describer, **settings: Any) -> Path:
-        recipe = dataclasses.replace(cache.feed.recipe, **settings)
-        feed = BatchLoader(model, recipe, cache.feed.places, sampler=cache.feed.sampler, fabric=cache.fabric)
-        feed.close()
-        return TokensCache(model, feed, folder=tmp_path).folder
+        recipe = dataclasses.replace(cache.batches.recipe, **settings)
+        batches = BatchLoader(
+            model, recipe, cache.batches.places, sampler=cache.batches.sampler, fabric=cache.fabric
+        )
+        batches.close()
+        return TokenCache(model, batches, folder=tmp_path).folder
 
     same = build(cache.model.config)
     assert folder(same, seed=9, head_rate=0.5, places=2) == cache.folder
@@ -144,10 +146,10 @@ def test_a_run_on_cached_tokens_is_the_run_that_describes_every_time(
 ) -> None:
     teach(tmp_path / "cached", model=vit, recipe=FROZEN)
 
-    def fresh(cache: TokensCache, view: View, version: int) -> Any:
+    def fresh(cache: TokenCache, view: View, version: int) -> Any:
         return cache._made(view, int(cache._name(view, version)[:12], 16))
 
-    monkeypatch.setattr(TokensCache, "kept", fresh)
+    monkeypatch.setattr(TokenCache, "kept", fresh)
     teach(tmp_path / "fresh", model=vit, recipe=FROZEN)
     assert not (tmp_path / "fresh" / "tokens").exists()
     torch.testing.assert_close(_weights(tmp_path / "cached"), _weights(tmp_path / "fresh"), rtol=0, atol=0)
@@ -214,10 +216,10 @@ def test_an_interrupted_run_on_cached_tokens_ends_as_it_would_have(
     torch.testing.assert_close(_weights(tmp_path / "cut"), _weights(tmp_path / "whole"), rtol=0, atol=0)
 
 
-def test_parts_are_as_small_as_asked_for(cache: TokensCache, places: list[TrainingPlace]) -> None:
-    batch = cache.feed.batch(0)
+def test_parts_are_as_small_as_asked_for(cache: TokenCache, places: list[TrainingPlace]) -> None:
+    batch = cache.batches.batch(0)
     whole = cache.parts(0, batch)
-    cache.feed.recipe = dataclasses.replace(cache.feed.recipe, at_once=4)
+    cache.batches.recipe = dataclasses.replace(cache.batches.recipe, at_once=4)
     parts = cache.parts(0, batch)
     assert [len(part.scene) for part in parts] == [4, 2]
     np.testing.assert_array_equal(torch.cat([part.patches for part in parts]), whole[0].patches)

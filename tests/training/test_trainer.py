@@ -22,7 +22,7 @@ from salad.network.config import ModelConfig
 from salad.training import trainer
 from salad.training.batches import ImageCache
 from salad.training.recipe import Recipe
-from salad.training.validation import Judge, by_places_held_out
+from salad.training.validation import Judge, judge_by_places_held_out
 
 Teach = Callable[..., Path]
 
@@ -269,11 +269,11 @@ def test_runs_of_other_seeds_may_hold_the_same_places_out(
 ) -> None:
     apart: list[set[str]] = []
 
-    def watched(places: Sequence[TrainingPlace], shelf: ImageCache) -> Judge:
+    def watched(places: Sequence[TrainingPlace], images: ImageCache) -> Judge:
         apart.append({place.photos[0].parent.name for place in places})
-        return by_places_held_out(places, shelf)
+        return judge_by_places_held_out(places, images)
 
-    monkeypatch.setattr(trainer, "by_places_held_out", watched)
+    monkeypatch.setattr(trainer, "judge_by_places_held_out", watched)
     settings = {"head_steps": 1, "tune_steps": 0}
     for seed in range(4):
         teach(tmp_path / f"own {seed}", recipe={**settings, "seed": seed})
@@ -400,7 +400,7 @@ def test_half_precision_overshoots_lowers_its_scale_and_remembers_it(
     from lightning_fabric import Fabric
     from lightning_fabric.plugins.precision import MixedPrecision
 
-    def launched(*_: object, **__: object) -> Fabric:
+    def launch_fabric(*_: object, **__: object) -> Fabric:
         scaler = torch.amp.GradScaler("cpu", init_scale=2.0**30)
         precision = MixedPrecision("16-mixed", "cpu", scaler)
         return Fabric(accelerator="cpu", devices=1, plugins=[precision])
@@ -409,7 +409,7 @@ def test_half_precision_overshoots_lowers_its_scale_and_remembers_it(
         if '"step": 4,' in line:
             raise Interrupted
 
-    monkeypatch.setattr(trainer, "launched", launched)
+    monkeypatch.setattr(trainer, "launch_fabric", launch_fabric)
     teach(tmp_path / "whole", model=vit)
     scale = torch.load(tmp_path / "whole" / "last.ckpt", weights_only=True)["scaler"]["scale"]
     assert scale < 2.0**30

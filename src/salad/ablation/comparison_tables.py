@@ -22,7 +22,7 @@ from salad.ablation.run_result import RunResult, check_equal_terms, read_results
 from salad.errors import ModelError
 from salad.files import write_whole
 from salad.tables import csv_line
-from salad.training.recipe import in_full
+from salad.training.recipe import with_defaults
 
 Results = Mapping[str, Sequence[RunResult]]
 EMPTY_CELL = "–"
@@ -100,7 +100,7 @@ def how_to_repeat(runs: Sequence[RunResult]) -> list[str]:
     longest = max(
         runs, key=lambda run: run.preset["recipe"]["head_steps"] + run.preset["recipe"]["tune_steps"]
     )
-    recipe = in_full(longest.preset["recipe"])
+    recipe = with_defaults(longest.preset["recipe"])
     size = first.preset["model"]["preprocessing"]
     frozen = ""
     if recipe["cache_versions"] and not recipe["tune_steps"]:
@@ -146,7 +146,7 @@ def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> 
     columns, protocols, facts = benchmark_columns(lines), published_protocols(lines), _fact_titles(lines)
     leaders = {column: leader(lines, column) for column in columns}
     titles = ["", *map(str, columns), *(f"paper: {protocol}" for protocol in protocols), *facts, "seeds"]
-    rows = [titles, ["---", *["---:"] * (len(titles) - 1)]]
+    rows = [titles]
     for line in lines:
         cells = [line.name.replace("|", "\\|")]
         for column in columns:
@@ -160,7 +160,8 @@ def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> 
             cells.append(f"{theirs.percent:.1f}{star}" if theirs else EMPTY_CELL)
         cells += [_number(line.facts.get(fact), ",.0f", ".1f") or EMPTY_CELL for fact in facts]
         rows.append([*cells, str(line.seeds)])
-    table = [f"| {' | '.join(row)} |" for row in rows]
+    head, *body = (f"| {' | '.join(row)} |" for row in rows)
+    table = [head, f"|---{'|---:' * (len(titles) - 1)}|", *body]
     notes = [*_notes(lines, has_leader=any(leaders.values())), *notes]
     return "\n".join([*table, "", *notes, "", *order_sentences(lines)]).rstrip()
 

@@ -18,7 +18,8 @@ from salad.network.backbones.efficientnet import build_backbone
 from salad.network.checkpoints import recognise
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
 from salad.training.recipe import LITE_PHOTO, PRESETS, Preset, Recipe
-from salad.training.start import imagenet, needs_fitting
+from salad.training.start import imagenet
+from salad.training.vocabulary import needs_fitting
 
 IMAGENET = "imagenet"
 TRAINING_SIDE = 224 / 322

@@ -14,7 +14,7 @@ from typing import Any
 
 from salad.errors import ModelError
 from salad.files import write_whole
-from salad.training.recipe import in_full
+from salad.training.recipe import with_defaults
 
 RESULT_FILE, FORMAT = "result.json", 1
 RUN_IDENTITY = ("row", "seed", "preset", "start", "data")
@@ -114,7 +114,7 @@ def read_results(to: Path, rows: Sequence[str]) -> dict[str, list[RunResult]]:
 
 def equal_terms(result: RunResult) -> dict[str, Any]:
     """What must be the same in all runs of one table; no steps where the run took none."""
-    model, recipe = result.preset["model"], in_full(result.preset["recipe"])
+    model, recipe = result.preset["model"], with_defaults(result.preset["recipe"])
     terms = {
         "photos": model["preprocessing"],
         "backbone": model["backbone"],

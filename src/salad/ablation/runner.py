@@ -43,10 +43,11 @@ from salad.training.batches import ImageCache
 from salad.training.checkpoint import CHECKPOINT, LOG, MODEL
 from salad.training.devices import versions
 from salad.training.logger import Say
-from salad.training.recipe import Preset, in_full
-from salad.training.start import fit, needs_fitting, start_backbone
+from salad.training.recipe import Preset, with_defaults
+from salad.training.start import start_backbone
 from salad.training.trainer import TOKENS, Progress, train
 from salad.training.validation import precision_held_out
+from salad.training.vocabulary import fit, needs_fitting
 
 
 class GridBenchmark(NamedTuple):
@@ -153,7 +154,7 @@ class GridRunner:
         if found is not None:
             theirs = {key: getattr(found, key) for key in RUN_IDENTITY}
             # An older version wrote no settings that it did not know, and had them at their defaults.
-            theirs["preset"] = {**found.preset, "recipe": in_full(found.preset["recipe"])}
+            theirs["preset"] = {**found.preset, "recipe": with_defaults(found.preset["recipe"])}
             differing = first_difference(theirs, run.identity)
             if differing:
                 raise ModelError(

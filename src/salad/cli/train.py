@@ -170,9 +170,9 @@ class TrainCommand:
         return shell.FOUND
 
     def _tell(self, chosen: Preset) -> int:
-        from salad.training.dry_run import plan
+        from salad.training.dry_run import dry_run
 
-        told = plan(
+        facts = dry_run(
             chosen,
             None if self.data is None else self._places(self.data),
             start=self.start,
@@ -180,7 +180,7 @@ class TrainCommand:
             devices=self.devices,
             nodes=self.nodes,
         )
-        shell.facts({"preset": self.preset, **told})
+        shell.facts({"preset": self.preset, **facts})
         shell.say("nothing was written: leave --dry-run out to train")
         return shell.FOUND
 

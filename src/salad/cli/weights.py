@@ -115,7 +115,7 @@ class Vocabulary:
         from salad.cli.arguments import model_of
         from salad.index.index import Index
         from salad.models.model_folder import load, write_folder
-        from salad.training.start import with_vocabulary
+        from salad.training.vocabulary import with_vocabulary
 
         positive(self.clusters, "--clusters")
         if self.to.exists():  # said before the work, not after it

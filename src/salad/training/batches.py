@@ -1,4 +1,4 @@
-"""From places to what passes through the model: the n-th batch, this process's share of it, changed and normalised."""
+"""From places to what passes through the model: the n-th batch, this process's slice of it, changed and normalised."""
 
 from __future__ import annotations
 
@@ -23,13 +23,8 @@ from salad.images.decode import decode
 from salad.models.describer import Describer
 from salad.network.config import Preprocessing
 from salad.training.augment import CUTTING, augmentation
-from salad.training.devices import share_of
+from salad.training.devices import rank_slice
 from salad.training.recipe import Recipe
-
-# --- Photos squeezed to a model's size: read by threads ahead of their turn, kept as far as memory is granted ---
-#
-# A photo that cannot be read is remembered and never shown as something else: another photo of its place stands in.
-
 
 Pixels = UInt8[np.ndarray, "height width 3"]
 
@@ -38,7 +33,10 @@ _THREADS = 8  # at most; decoding leaves Python's lock, so that as many cores wo
 
 
 class ImageCache:
-    """Photos by their paths, as bytes of a model's size. Use it from one thread; it has its own for reading.
+    """Photos by their paths, as bytes of a model's size: read ahead of their turn, kept while there is memory.
+
+    A photo that cannot be read is remembered and never shown as something else: another photo of its place stands
+    in. Use it from one thread; it has its own for reading.
 
     Args:
         preprocessing: to what size photos are squeezed, and how.
@@ -56,14 +54,14 @@ class ImageCache:
         self._kept: dict[Path, Pixels] = {}
         self._now: dict[Path, Future[Pixels]] = {}  # of the batch being fetched
         self._ahead: deque[dict[Path, Future[Pixels]]] = deque()  # of the two batches last expected
-        self._pool = ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1), thread_name_prefix="salad-shelf")
-        self._told = 0
+        self._pool = ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1), thread_name_prefix="salad-photos")
+        self._reported = 0
 
     def array(self, path: Path) -> Pixels:
         """One photo as bytes.
 
         Raises:
-            PhotoError: it cannot be read; `broken` knows it from then on.
+            PhotoError: If it cannot be read; `broken` knows it from then on.
         """
         if path in self._kept:
             return self._kept[path]
@@ -85,9 +83,9 @@ class ImageCache:
         yet, or any of them where it shows all.
 
         Raises:
-            BenchmarkError: no photo of a place can be read.
+            BenchmarkError: If no photo of a place can be read.
         """
-        self._now = self._begun(views)
+        self._now = self._read_missing(views)
         shown = {view.path for view in views}
         seen: dict[Path, Pixels] = {}
         rows = []
@@ -99,17 +97,17 @@ class ImageCache:
             rows.append(seen[path])
         return torch.from_numpy(np.stack(rows)).permute(0, 3, 1, 2)
 
-    def expect(self, views: Sequence[View]) -> None:
-        """Begin to read what a batch to come shows; what was expected before the last call is let go."""
+    def prefetch(self, views: Sequence[View]) -> None:
+        """Begin to read what a batch to come shows; what was asked for before the last call is let go."""
         while len(self._ahead) > 1:
             for future in self._ahead.popleft().values():
                 future.cancel()
-        self._ahead.append(self._begun(views))
+        self._ahead.append(self._read_missing(views))
 
-    def news(self) -> str:
+    def newly_unreadable(self) -> str:
         """One sentence on the photos that could not be read since this was last asked; empty where there are none."""
-        fresh = list(self.broken.values())[self._told :]
-        self._told = len(self.broken)
+        fresh = list(self.broken.values())[self._reported :]
+        self._reported = len(self.broken)
         if not fresh:
             return ""
         what = "1 photo cannot be read" if len(fresh) == 1 else f"{len(fresh)} photos cannot be read"
@@ -135,7 +133,9 @@ class ImageCache:
         return True
 
     def _stand_in(self, view: View, shown: set[Path], seen: dict[Path, Pixels]) -> Path:
-        others = _after(view.place, view.path)
+        photos = view.place.photos
+        after = photos.index(view.path) + 1
+        others = photos[after:] + photos[: after - 1]
         fresh = [path for path in others if path not in shown]
         for path in (*fresh, *others):
             if path in seen or self._readable(path, seen):
@@ -145,8 +145,8 @@ class ImageCache:
             f"{self.broken[view.path]}"
         )
 
-    def _begun(self, views: Sequence[View]) -> dict[Path, Future[Pixels]]:
-        """What of these photos is neither kept nor on its way is now read."""
+    def _read_missing(self, views: Sequence[View]) -> dict[Path, Future[Pixels]]:
+        """Begin to read what of these photos is neither kept nor on its way."""
         known: tuple[Mapping[Path, object], ...] = (self._kept, self.broken, self._now, *self._ahead)
         wanted = dict.fromkeys(view.path for view in views)
         return {path: self._read(path) for path in wanted if not any(path in part for part in known)}
@@ -162,13 +162,7 @@ class ImageCache:
         return self._pool.submit(decode, path, to.height, to.width, to.resample)
 
 
-def _after(place: TrainingPlace, path: Path) -> tuple[Path, ...]:
-    """The place's photos from the one after `path` on, in a circle, itself left out."""
-    at = place.photos.index(path)
-    return place.photos[at + 1 :] + place.photos[:at]
-
-
-One = TypeVar("One")
+Item = TypeVar("Item")
 
 
 class BatchLoader:
@@ -182,11 +176,11 @@ class BatchLoader:
         fabric: which process this is, and where its numbers live.
 
     Attributes:
-        shelf: photos at the size of training.
-        in_use: photos at the size the model is used with, for measuring it.
+        images: photos at the size of training.
+        images_in_use: photos at the size the model is used with, for measuring it.
 
     Raises:
-        MissingExtraError: the `train` extra is not installed.
+        MissingExtraError: If the `train` extra is not installed.
     """
 
     def __init__(
@@ -200,17 +194,19 @@ class BatchLoader:
     ) -> None:
         self.model, self.recipe, self.places, self.fabric = model, recipe, places, fabric
         self.sampler = sampler
-        size, full = preprocessing_of(model, recipe), model.preprocessing
+        size, full = training_preprocessing(model, recipe), model.preprocessing
         self.augment = augmentation(recipe.augment, size.height, size.width)
         self.augment_full = augmentation(recipe.augment, full.height, full.width)
-        self.in_use = ImageCache(full)
-        self.shelf = self.in_use if size == full or recipe.augment in CUTTING else ImageCache(size)
-        _, end = steps_of(recipe, sampler)
+        self.images_in_use = ImageCache(full)
+        # Changes that cut the photo they make out of a larger one are given the larger one, and one cache does.
+        shared = size == full or recipe.augment in CUTTING
+        self.images = self.images_in_use if shared else ImageCache(size)
+        _, end = count_steps(recipe, sampler)
         self.full_from = end - recipe.full_steps if recipe.size else end
 
     def use_cliques(self, cliques: Sequence[Sequence[int]]) -> None:
         """From now on, fill batches with these cliques of place numbers."""
-        self.sampler = sampler_of(self.recipe, self.places, cliques=cliques)
+        self.sampler = build_sampler(self.recipe, self.places, cliques=cliques)
 
     def batch(self, step: int) -> list[View]:
         """All photos of a step's batch, those of a place together."""
@@ -220,51 +216,52 @@ class BatchLoader:
         """Which place each photo of the whole batch shows."""
         return torch.tensor([view.label for view in batch], device=self.fabric.device)
 
-    def share(self, batch: Sequence[One]) -> Sequence[One]:
+    def rank_slice(self, batch: Sequence[Item]) -> Sequence[Item]:
         """What this process reads of a batch: nothing else is opened here."""
-        return batch[share_of(len(batch), self.fabric.global_rank, self.fabric.world_size)]
+        return batch[rank_slice(len(batch), self.fabric.global_rank, self.fabric.world_size)]
 
     def parts(self, step: int, batch: Sequence[View]) -> list[Tensor]:
-        """This process's share, as images that pass through the model one part after another."""
-        images = self.images(self.share(batch), full=step >= self.full_from)
-        following = self.in_use if step + 1 >= self.full_from else self.shelf
-        following.expect(self.share(self.batch(step + 1)))
+        """This process's slice, as images that pass through the model one part after another."""
+        images = self.changed(self.rank_slice(batch), full=step >= self.full_from)
+        following = self.images_in_use if step + 1 >= self.full_from else self.images
+        following.prefetch(self.rank_slice(self.batch(step + 1)))  # read while this one is learnt from
         return list(torch.split(images, self.recipe.at_once or len(images)))
 
-    def images(self, views: Sequence[View], *, full: bool = False) -> Float[Tensor, "views 3 height width"]:
-        """Photos mirrored where their place is, changed and normalised; of the size in use where `full`."""
-        shelf, augment = (self.in_use, self.augment_full) if full else (self.shelf, self.augment)
-        photos = shelf.photos(views).to(self.fabric.device)
+    def changed(self, views: Sequence[View], *, full: bool = False) -> Float[Tensor, "views 3 height width"]:
+        """Photos mirrored where their place is, augmented and normalised; of the size in use where `full`."""
+        cache, augment = (self.images_in_use, self.augment_full) if full else (self.images, self.augment)
+        photos = cache.photos(views).to(self.fabric.device)
         mirrored = torch.tensor([view.mirrored for view in views], device=self.fabric.device)
         photos = torch.where(mirrored[:, None, None, None], photos.flip(-1), photos)
         with torch.no_grad():
             seen: Tensor = augment(photos.float() / 255).clamp(0, 1)
             return (seen - self.model.mean) / self.model.std
 
-    def news(self) -> list[str]:
-        """What the shelves found broken since they were last asked."""
-        return [told for told in (shelf.news() for shelf in dict.fromkeys((self.shelf, self.in_use))) if told]
+    def newly_unreadable(self) -> list[str]:
+        """A sentence on the photos of each size that could not be read since this was last asked."""
+        caches = dict.fromkeys((self.images, self.images_in_use))  # they may be one
+        return [sentence for cache in caches if (sentence := cache.newly_unreadable())]
 
     def close(self) -> None:
         """Let go of what reads photos."""
-        self.shelf.close()
-        self.in_use.close()
+        self.images.close()
+        self.images_in_use.close()
 
 
-def preprocessing_of(model: Describer, recipe: Recipe) -> Any:
+def training_preprocessing(model: Describer, recipe: Recipe) -> Any:
     """How photos are squeezed in training: the model's own way, to the recipe's size where it has one."""
     if recipe.size is None:
         return model.preprocessing
     return replace(model.preprocessing, height=recipe.size, width=recipe.size)
 
 
-def sampler_of(
+def build_sampler(
     recipe: Recipe, places: Sequence[TrainingPlace], *, cliques: Sequence[Sequence[int]] = ()
 ) -> Sampler:
     """How the recipe draws its batches; mixed ones stand in until cliques are known.
 
     Raises:
-        BenchmarkError: there are fewer places than a batch needs.
+        BenchmarkError: If there are fewer places than a batch needs.
     """
     settings: dict[str, Any] = {
         "per_batch": recipe.places,
@@ -279,8 +276,12 @@ def sampler_of(
     return MixedSampler(places, **settings)
 
 
-def steps_of(recipe: Recipe, sampler: Sampler) -> tuple[int, int]:
-    """Steps of the first stage, and of both together."""
+def count_steps(recipe: Recipe, sampler: Sampler) -> tuple[int, int]:
+    """Steps of the first stage, and of both together.
+
+    Raises:
+        ModelError: If the recipe counts epochs, and its sampler does not.
+    """
     if recipe.epochs is None:
         return recipe.head_steps, recipe.head_steps + recipe.tune_steps
     per_epoch = getattr(sampler, "per_epoch", None)
@@ -292,11 +293,11 @@ def steps_of(recipe: Recipe, sampler: Sampler) -> tuple[int, int]:
     return recipe.head_steps, recipe.head_steps + recipe.epochs * int(per_epoch)
 
 
-def divided(recipe: Recipe, processes: int) -> None:
+def check_processes(recipe: Recipe, processes: int) -> None:
     """Refuse a batch that leaves a process without a photo.
 
     Raises:
-        ModelError: it does.
+        ModelError: If it does.
     """
     if recipe.batch < processes:
         raise ModelError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import metadata
 from typing import Any
 
@@ -12,10 +13,10 @@ from salad._version import __version__
 from salad.errors import MissingExtraError, ModelError
 from salad.training.recipe import Precision
 
-_TOLD = ("lightning-fabric", "pytorch-metric-learning", "kornia", "numpy")
+_PACKAGES = ("lightning-fabric", "pytorch-metric-learning", "kornia", "numpy")  # that bear on the weights
 
 
-def launched(accelerator: str, precision: Precision, *, devices: int = 1, nodes: int = 1) -> Any:
+def launch_fabric(accelerator: str, precision: Precision, *, devices: int = 1, nodes: int = 1) -> Any:
     """A Fabric whose processes run: this one, and with several devices one more for each of the others.
 
     The others are this very command started again, so they come to this line by themselves.
@@ -27,8 +28,8 @@ def launched(accelerator: str, precision: Precision, *, devices: int = 1, nodes:
         nodes: machines, on each of which the command was started.
 
     Raises:
-        MissingExtraError: the `train` extra is not installed.
-        ModelError: there is no such accelerator here, or not so many devices.
+        MissingExtraError: If the `train` extra is not installed.
+        ModelError: If there is no such accelerator here, or not so many devices.
     """
     try:
         from lightning_fabric import Fabric
@@ -67,27 +68,26 @@ def first_process() -> bool:
     return rank() == 0
 
 
-def share_of(total: int, rank: int, ranks: int) -> slice:
-    """Which of `total` things one of several processes takes: all of them taken once, none more than one apart."""
+def rank_slice(total: int, rank: int, ranks: int) -> slice:
+    """Which of `total` things one of several processes takes: none twice, and no process two more than another."""
     return slice(total * rank // ranks, total * (rank + 1) // ranks)
 
 
 def step_seed(seed: int, step: int, rank: int = 0) -> int:
     """What seeds everything random of one step in one process; the ranks of a step differ from each other."""
-    return seed * 1_000_003 + step if rank == 0 else stirred(seed, step, rank)
+    # The first process keeps the plain sum that runs on one device always had, so that they go on as they began.
+    return seed * 1_000_003 + step if rank == 0 else combined_seed(seed, step, rank)
 
 
-def stirred(*numbers: int) -> int:
+def combined_seed(*numbers: int) -> int:
     """One seed from several numbers, unlike that of any others."""
     return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0])
 
 
 def versions() -> dict[str, str]:
     """What a run is made with, for whoever wants to repeat it."""
-    told = {"salad": __version__, "torch": torch.__version__}
-    for package in _TOLD:
-        try:
-            told[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return told
+    made_with = {"salad": __version__, "torch": torch.__version__}
+    for package in _PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            made_with[package] = metadata.version(package)
+    return made_with

@@ -20,14 +20,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.network.tokens import Tokens
-from salad.training.devices import share_of, stirred
+from salad.training.devices import combined_seed, rank_slice
 from salad.training.optim import Objective
 
 Part = Float[Tensor, "batch 3 height width"] | Tokens
 """What is described at once: normalised photos, or the tokens of as many."""
 
 
-def learn(
+def backward_in_parts(
     fabric: Any,
     module: nn.Module,
     *,
@@ -41,8 +41,8 @@ def learn(
     Args:
         fabric: the run's Fabric.
         module: what describes a part, set up by `fabric`.
-        parts: this process's share of the batch (`share_of`), in one part or more.
-        labels: which place each photo of the whole batch shows, the shares one after another.
+        parts: this process's slice of the batch (`rank_slice`), in one part or more.
+        labels: which place each photo of the whole batch shows, the slices one after another.
         objective: descriptors and labels -> loss.
         seed: of what is random within the parts of this process, so that a part is described twice alike.
 
@@ -54,42 +54,39 @@ def learn(
     else:
         with torch.no_grad():
             described = [_seeded(module, part, seed, number) for number, part in enumerate(parts)]
-    loss, pull = _pull(fabric, torch.cat([part.detach() for part in described]), labels, objective)
-    shares = torch.split(pull, [len(part) for part in described])
-    for number, (part, share) in enumerate(zip(parts, shares, strict=True)):
+    mine = torch.cat([part.detach() for part in described])
+
+    ranks = fabric.world_size
+    everyones = _gathered(fabric, mine, len(labels)).detach().requires_grad_()
+    loss = objective(everyones, labels)
+    (gradient,) = torch.autograd.grad(loss, everyones)
+    # The processes' gradients are averaged later, while the batch's is their sum.
+    my_gradient = gradient[rank_slice(len(labels), fabric.global_rank, ranks)] * ranks
+
+    by_part = torch.split(my_gradient, [len(part) for part in described])
+    for number, (part, of_part) in enumerate(zip(parts, by_part, strict=True)):
+        # Processes may have one part more or less than others: they meet at their last one alone.
         with fabric.no_backward_sync(module, enabled=number + 1 < len(parts)):
             once = described[0] if len(parts) == 1 else _seeded(module, part, seed, number)
-            fabric.backward(once, gradient=share)
-    return loss
+            fabric.backward(once, gradient=of_part)
+    # A miner finds no pair among descriptors that are no numbers, and calls that a loss of nothing.
+    sound = everyones.detach().isfinite().all()
+    return torch.where(sound, loss.detach(), torch.nan)
 
 
 def _seeded(module: nn.Module, part: Part, seed: int, number: int) -> Float[Tensor, "part dim"]:
-    torch.manual_seed(stirred(seed, number))  # the same hidden numbers are dropped both times
+    torch.manual_seed(combined_seed(seed, number))  # the same hidden numbers are dropped both times
     described: Tensor = module(part).float()
     return described
 
 
-def _pull(
-    fabric: Any, mine: Float[Tensor, "share dim"], labels: Int64[Tensor, " batch"], objective: Objective
-) -> tuple[Float[Tensor, ""], Float[Tensor, "share dim"]]:
-    """The loss of all processes' descriptors, and its gradient at this one's."""
-    everyone = _gathered(fabric, mine, len(labels)).detach().requires_grad_()
-    loss = objective(everyone, labels)
-    (pull,) = torch.autograd.grad(loss, everyone)
-    ranks = fabric.world_size
-    # The processes' gradients are averaged later, while the batch's is their sum.
-    own = pull[share_of(len(labels), fabric.global_rank, ranks)] * ranks
-    # A miner finds no pair among descriptors that are no numbers, and calls that a loss of nothing.
-    sound = everyone.detach().isfinite().all()
-    return torch.where(sound, loss.detach(), torch.nan), own
-
-
-def _gathered(fabric: Any, mine: Float[Tensor, "share dim"], total: int) -> Float[Tensor, "total dim"]:
-    """Every process's descriptors in the order of the batch; shares may differ by one."""
+def _gathered(fabric: Any, mine: Float[Tensor, "mine dim"], total: int) -> Float[Tensor, "total dim"]:
+    """Every process's descriptors in the order of the batch."""
     ranks = fabric.world_size
     if ranks == 1:
         return mine
-    most = -(-total // ranks)
-    rows = fabric.all_gather(F.pad(mine, (0, 0, 0, most - len(mine))))
-    shares = [share_of(total, rank, ranks) for rank in range(ranks)]
-    return torch.cat([each[: share.stop - share.start] for each, share in zip(rows, shares, strict=True)])
+    # Slices may differ by one, and what is gathered must be of one length: filled up here, cut off again below.
+    longest = -(-total // ranks)
+    rows = fabric.all_gather(F.pad(mine, (0, 0, 0, longest - len(mine))))
+    slices = [rank_slice(total, rank, ranks) for rank in range(ranks)]
+    return torch.cat([each[: own.stop - own.start] for each, own in zip(rows, slices, strict=True)])

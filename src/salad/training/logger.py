@@ -13,60 +13,22 @@ from salad.datasets.training_place import View
 from salad.errors import MissingExtraError, TrainingError
 from salad.models.model_folder import write_folder
 from salad.training import checkpoint
-from salad.training.checkpoint import State
+from salad.training.checkpoint import TrainingState
 from salad.training.validation import Judge
 
-# --- What a run measures, as curves that TensorBoard draws: `tensorboard --logdir RUN` ---
-
-
-BOARD = "board"
-
-
-class Board:
-    """Curves in the folder `board` of a run.
-
-    Args:
-        folder: the run's.
-        step: where it goes on; what a killed run drew beyond that is wiped.
-
-    Raises:
-        MissingExtraError: tensorboard is not installed.
-    """
-
-    def __init__(self, folder: Path, *, step: int) -> None:
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise MissingExtraError("drawing curves for TensorBoard", "train") from error
-        writer: Any = SummaryWriter
-        self._writer = writer(str(folder / BOARD), purge_step=step + 1)
-
-    def draw(self, step: int, values: Mapping[str, float]) -> None:
-        """Add a point to each curve named."""
-        for name, value in values.items():
-            self._writer.add_scalar(name, value, step)
-
-    def flush(self) -> None:
-        """Let whoever watches see what was drawn."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Write the rest."""
-        self._writer.close()
-
-
 Say = Callable[[str], None]
-_NAMED = 4  # photos of a batch that an error names; all of them stand in a file
+BOARD = "board"
+_PHOTOS_NAMED = 4  # of a batch that an error is about; all of them stand in a file
 
 
-class Record:
-    """The one hand that writes into a run's folder, in the first process alone.
+class RunLogger:
+    """The only one that writes into a run's folder, in the first process alone.
 
     Args:
         folder: the run's.
         identity: what makes the run this one, for whoever wants to go on with it.
         judge: what measures the model; None where the last weights are as good as any.
-        tell: takes a line whenever there is something to tell.
+        say: takes a line whenever there is something to tell; in the first process alone.
         first: whether this is the first process; in all others nothing happens here.
         processes: how many share the batches.
     """
@@ -77,46 +39,51 @@ class Record:
         identity: Mapping[str, Any],
         *,
         judge: Judge | None,
-        tell: Say,
+        say: Say,
         first: bool,
         processes: int = 1,
     ) -> None:
         self.folder, self.identity, self.judge = folder, identity, judge
-        self.tell, self.first, self.processes = tell, first, processes
-        self._board: Board | None = None
+        self.first, self.processes = first, processes
+        self.say: Say = say if first else lambda _: None
+        self._board: BoardWriter | None = None
 
     def begin(
-        self, state: State, saved: Mapping[str, Any] | None, *, resolved: Mapping[str, Any], board: bool
+        self, state: TrainingState, saved: Mapping[str, Any] | None, *, config: Mapping[str, Any], board: bool
     ) -> None:
         """Open the folder: for a new run, or at the step where the one that was saved goes on."""
         if not self.first:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
         if saved is None or not (self.folder / checkpoint.CONFIG).is_file():
-            checkpoint.write_json(self.folder / checkpoint.CONFIG, resolved)
+            checkpoint.write_json(self.folder / checkpoint.CONFIG, config)
         checkpoint.trim_log(self.folder, state.step)
         if saved is not None:
-            self.tell(f"going on from step {state.step}")
+            self.say(f"going on from step {state.step}")
             before = saved.get("processes", self.processes)
-            if before != self.processes:
-                self.tell(
+            if before != self.processes:  # each process draws from a chance of its own
+                self.say(
                     f"the run began on {before} processes and goes on on {self.processes}: what is random falls "
                     "out differently from here"
                 )
         if board:
-            self._board = Board(self.folder, step=state.step)
+            self._board = BoardWriter(self.folder, step=state.step)
 
-    def draw(self, state: State, optimizer: torch.optim.Optimizer, loss: float) -> None:
+    def draw(self, state: TrainingState, optimizer: torch.optim.Optimizer, loss: float) -> None:
         """Add a step's loss and rate to the curves."""
         if self._board:
             rate = max(group["lr"] for group in optimizer.param_groups)
             self._board.draw(state.step, {"loss": loss, "rate": rate})
 
-    def measure(self, state: State, *, stage: str, loss: float) -> None:
-        """Judge the weights that would be kept, take them if they are the best, and tell."""
+    def measure(self, state: TrainingState, *, stage: str, loss: float) -> None:
+        """Judge the weights that would be kept, take them if they are the best, and tell.
+
+        Raises:
+            TrainingError: If the judge's mean is no number.
+        """
         if not self.first:
             return
-        told: dict[str, Any] = {
+        measurement: dict[str, Any] = {
             "step": state.step,
             "stage": stage,
             "loss": round(loss, 4),
@@ -125,43 +92,38 @@ class Record:
         kept = state.kept()
         score = float(state.step)  # nothing to choose by: the last
         if self.judge:
-            told[self.identity["judge"]] = figures = self.judge(kept)
-            score = self._score(figures, state.step)
+            figures = self.judge(kept)
+            score = figures.get("mean", math.nan)
+            if not math.isfinite(score):
+                raise TrainingError(
+                    f"the judge gave no mean that is a number at step {state.step}, but {dict(figures)}"
+                )
+            measurement[self.identity["judge"]] = figures
             if self._board:
                 self._board.draw(state.step, {f"score/{name}": value for name, value in figures.items()})
                 self._board.flush()
         state.improved(score, kept)
-        self.tell(checkpoint.write_log(self.folder, told))
+        self.say(checkpoint.append_to_log(self.folder, measurement))
 
-    def _score(self, figures: Mapping[str, float], step: int) -> float:
-        score = figures.get("mean", math.nan)
-        if not math.isfinite(score):
-            raise TrainingError(
-                f"the judge gave no mean that is a number at step {step}, but {dict(figures)}"
-            )
-        return score
-
-    def save(self, state: State, optimizer: torch.optim.Optimizer, scaler: Mapping[str, Any]) -> None:
+    def save(self, state: TrainingState, optimizer: torch.optim.Optimizer, scaler: Mapping[str, Any]) -> None:
         """Write the checkpoint that a killed run goes on from."""
         if self.first:
-            told = {**self.identity, "processes": self.processes}
-            checkpoint.save(self.folder, {**told, **state.as_saved(optimizer, scaler)})
+            run = {**self.identity, "processes": self.processes}
+            checkpoint.save_checkpoint(self.folder, {**run, **state.state_dict(optimizer, scaler)})
 
-    def stop(self, state: State, batch: Sequence[View], what: str) -> TrainingError:
+    def stop(self, state: TrainingState, batch: Sequence[View], what: str) -> TrainingError:
         """Name the batch that a run cannot get past: a few photos in the sentence, all of them in a file."""
-        photos = [str(view.path) for view in batch]
+        photos, path = [str(view.path) for view in batch], self.folder / checkpoint.STOPPED
         if self.first:
-            checkpoint.write_json(
-                self.folder / checkpoint.STOPPED, {"step": state.step, "why": what, "photos": photos}
-            )
+            checkpoint.write_json(path, {"step": state.step, "why": what, "photos": photos})
         return TrainingError(
-            f"{what} at step {state.step + 1}, in the batch of {', '.join(photos[:_NAMED])}"
-            f"{f' and {len(photos) - _NAMED} more' if len(photos) > _NAMED else ''} "
-            f"(all in {self.folder / checkpoint.STOPPED}); the checkpoint before it stays. Look at these photos, or "
+            f"{what} at step {state.step + 1}, in the batch of {', '.join(photos[:_PHOTOS_NAMED])}"
+            f"{f' and {len(photos) - _PHOTOS_NAMED} more' if len(photos) > _PHOTOS_NAMED else ''} "
+            f"(all in {path}); the checkpoint before it stays. Look at these photos, or "
             "begin anew with lower rates or precision 32-true"
         )
 
-    def end(self, state: State) -> Path:
+    def end(self, state: TrainingState) -> Path:
         """Write the best weights and the last ones as models; the folder of the best."""
         if self._board:
             self._board.close()
@@ -171,5 +133,32 @@ class Record:
             write_folder(last, self.folder / checkpoint.LAST, dtype=torch.float16, overwrite=True)
             model = state.model.cpu().eval()
             model.load_state_dict(state.best["weights"])
+            # The best is written last: where it stands, the run has ended.
             write_folder(model, best, dtype=torch.float16, overwrite=True)
         return best
+
+
+class BoardWriter:
+    """Curves in the folder `board` of a run, as TensorBoard draws them: `tensorboard --logdir RUN`.
+
+    Args:
+        folder: the run's.
+        step: where it goes on; what a killed run drew beyond that is wiped.
+
+    Raises:
+        MissingExtraError: If tensorboard is not installed.
+    """
+
+    def __init__(self, folder: Path, *, step: int) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError as error:
+            raise MissingExtraError("drawing curves for TensorBoard", "train") from error
+        writer: Any = SummaryWriter  # torch gives it no types
+        self._writer = writer(str(folder / BOARD), purge_step=step + 1)
+        self.flush, self.close = self._writer.flush, self._writer.close
+
+    def draw(self, step: int, values: Mapping[str, float]) -> None:
+        """Add a point to each curve named."""
+        for name, value in values.items():
+            self._writer.add_scalar(name, value, step)

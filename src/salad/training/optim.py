@@ -1,4 +1,4 @@
-"""What moves the weights: AdamW with a rate for the head and one for the backbone, and how the rates go."""
+"""What moves the weights: the loss, AdamW with a rate for the head and one for the backbone, and how the rates go."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ from salad.errors import MissingExtraError, ModelError
 from salad.models.describer import Describer
 from salad.training.recipe import Recipe
 
+Objective = Callable[[Float[Tensor, "batch dim"], Int64[Tensor, " batch"]], Float[Tensor, ""]]
+"""Descriptors and the place each shows -> loss."""
 
-def optimizer_of(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
+
+def build_optimizer(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
     """AdamW over all weights that want gradients; each group knows its full rate as `rate`.
 
     Raises:
-        ModelError: no weight wants any.
+        ModelError: If no weight wants any.
     """
     groups = [
         {"params": [weight for weight in part.parameters() if weight.requires_grad], "rate": rate}
         for part, rate in ((model.aggregator, recipe.head_rate), (model.backbone, recipe.trunk_rate))
     ]
-    groups = [group for group in groups if group["params"]]
+    groups = [group for group in groups if group["params"]]  # a part that is frozen has no rate
     if not groups:
         raise ModelError(
             f"the model {model.name} has nothing to train: its aggregator has no weights and its backbone is "
@@ -32,48 +35,49 @@ def optimizer_of(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
     return torch.optim.AdamW(groups, weight_decay=recipe.weight_decay)
 
 
-def rate_factor(step: int, steps: int, recipe: Recipe) -> float:
-    """What the learning rate is multiplied by at a step of its stage: up, then linearly down, then level."""
+def learning_rate_factor(step: int, steps: int, recipe: Recipe) -> float:
+    """What the learning rate is multiplied by at a step of its stage: up, then linearly down, then level.
+
+    Args:
+        step: of the stage, from 0 on.
+        steps: of the stage.
+        recipe: says how long the rate rises, over how many steps it falls, and to what.
+    """
     rising = min(1.0, (step + 1) / max(1, recipe.warmup))
-    gone = step / max(1, recipe.decay_over or steps)
-    return rising * (1 - (1 - recipe.last) * min(1.0, gone))
+    fallen = min(1.0, step / max(1, recipe.decay_over or steps))
+    return rising * (1 - (1 - recipe.last) * fallen)
 
 
-def set_rates(optimizer: torch.optim.Optimizer, factor: float) -> None:
+def set_learning_rates(optimizer: torch.optim.Optimizer, factor: float) -> None:
     """Multiply each group's full rate by `factor`."""
     for group in optimizer.param_groups:
         group["lr"] = group["rate"] * factor
 
 
 @torch.no_grad()
-def drift(mean: nn.Module, towards: nn.Module, *, decay: float, step: int) -> None:
-    """Let a running mean of weights follow those of a step: it wanders less than they do.
+def update_average(average: nn.Module, model: nn.Module, *, decay: float, step: int) -> None:
+    """Let an exponential moving average of weights follow those of a step: it wanders less than they do.
 
     Args:
-        mean: what follows.
-        towards: what is followed.
-        decay: share of the mean that stays; 0 makes it a copy.
-        step: steps made so far; a young mean soon forgets its start.
+        average: what follows.
+        model: what is followed.
+        decay: how much of the average stays, 0..1; 0 makes it a copy.
+        step: steps made so far; a young average soon forgets its start.
     """
     stays = min(decay, step / (step + 10))
-    for old, new in zip(mean.parameters(), towards.parameters(), strict=True):
+    for old, new in zip(average.parameters(), model.parameters(), strict=True):
         old.lerp_(new, 1 - stays)
-    for kept, now in zip(mean.buffers(), towards.buffers(), strict=True):
-        kept.copy_(now)
-
-
-# --- The multi-similarity loss on the pairs worth learning from, as the paper sets it ---
-#
-# Source: Wang et al., "Multi-Similarity Loss with General Pair Weighting for Deep Metric Learning", CVPR 2019.
-
-
-Objective = Callable[[Float[Tensor, "batch dim"], Int64[Tensor, " batch"]], Float[Tensor, ""]]
+    # Statistics of a normalisation are averages already, and a count of batches has none.
+    for buffer, current in zip(average.buffers(), model.buffers(), strict=True):
+        buffer.copy_(current)
 
 
 def multi_similarity(
     *, alpha: float = 1.0, beta: float = 50.0, base: float = 0.0, margin: float = 0.1
 ) -> Objective:
-    """Descriptors and the place each shows -> loss.
+    """The multi-similarity loss on the pairs worth learning from, as the paper sets it.
+
+    Source: Wang et al., "Multi-Similarity Loss with General Pair Weighting for Deep Metric Learning", CVPR 2019.
 
     Args:
         alpha: weight of pairs of one place.
@@ -82,7 +86,7 @@ def multi_similarity(
         margin: the miner keeps a pair that is within this of the hardest one of the other kind.
 
     Raises:
-        MissingExtraError: pytorch-metric-learning is not installed.
+        MissingExtraError: If pytorch-metric-learning is not installed.
     """
     try:
         from pytorch_metric_learning import distances, losses, miners

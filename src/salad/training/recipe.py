@@ -19,6 +19,17 @@ Augment = Literal["lite", "paper", "robust", "none"]
 Sampling = Literal["mixed", "one-city", "cliques"]
 
 
+_LEAST = {
+    **dict.fromkeys(("head_steps", "tune_steps", "head_rate", "trunk_rate", "weight_decay", "warmup"), 0),
+    **dict.fromkeys(("last", "average", "tuned_share", "clip", "tuned_blocks", "held_out", "full_steps"), 0),
+    **dict.fromkeys(("cache_versions", "mine_every", "seed", "split_seed"), 0),
+    **dict.fromkeys(("epochs", "decay_over", "measure_every", "save_every", "size", "at_once"), 1),
+    **dict.fromkeys(
+        ("places", "views", "clique"), 2
+    ),  # nothing can be told apart, or drawn together, with fewer
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Recipe:
     """How a model is trained: first the head alone, then the last blocks of the backbone with it.
@@ -66,7 +77,7 @@ class Recipe:
             averaged, or gone on with from one another need the same places held out.
 
     Raises:
-        ModelError: a number is out of its range, or two settings do not go together.
+        ModelError: If a number is out of its range, or two settings do not go together.
     """
 
     head_steps: int = 75
@@ -106,10 +117,11 @@ class Recipe:
             if value is not None and not (least <= value < math.inf):
                 raise ModelError(f"{name} of the recipe is {value}: give {least} or more")
         for name in ("last", "tuned_share", "held_out", "average"):
-            whole = name in ("last", "tuned_share")
-            if getattr(self, name) > 1 or (getattr(self, name) == 1 and not whole):
+            value, up_to_one = getattr(self, name), name in ("last", "tuned_share")
+            # Nothing could be learnt from with all places held out, and an average of decay 1 never moves.
+            if value > 1 or (value == 1 and not up_to_one):
                 raise ModelError(
-                    f"{name} of the recipe is {getattr(self, name)}: give a share {'up to' if whole else 'below'} 1"
+                    f"{name} of the recipe is {value}: give a share {'up to' if up_to_one else 'below'} 1"
                 )
         if self.clip is not None and self.clip == 0:
             raise ModelError("clip of the recipe is 0, so that nothing is ever learnt: give more, or none")
@@ -119,15 +131,11 @@ class Recipe:
             )
         if self.sampler == "cliques" and not self.mine_every:
             raise ModelError("batches of cliques need mine_every: steps between two searches for them")
-        if self.cache_versions and self.tuned_blocks and self._tunes:
+        if self.cache_versions and self.tuned_blocks and (self.tune_steps or self.epochs):
             raise ModelError(
                 f"tokens can be cached only under a frozen backbone, but {self.tuned_blocks} blocks are to be "
                 "trained: give tuned_blocks 0 or cache_versions 0"
             )
-
-    @property
-    def _tunes(self) -> bool:
-        return bool(self.tune_steps or self.epochs)
 
     @property
     def batch(self) -> int:
@@ -147,44 +155,26 @@ class Recipe:
         """The same recipe over so many steps in all, shared between the stages as before.
 
         Raises:
-            ModelError: there is no step to make.
+            ModelError: If there is no step to make.
         """
         if steps < 1:
             raise ModelError(f"{steps} steps teach nothing: give 1 or more")
         before = self.head_steps + self.tune_steps
+        # Epochs are of the second stage alone, and how many steps they would be is not known without the data.
         head = 0 if self.epochs or not before else round(steps * self.head_steps / before)
-        decay = self.decay_over and min(self.decay_over, steps)
-        full = round(steps * self.full_steps / before) if before else 0
         return replace(
-            self, head_steps=head, tune_steps=steps - head, epochs=None, decay_over=decay, full_steps=full
+            self,
+            head_steps=head,
+            tune_steps=steps - head,
+            epochs=None,
+            decay_over=self.decay_over and min(self.decay_over, steps),
+            full_steps=round(steps * self.full_steps / before) if before else 0,
         )
 
 
-def in_full(settings: Mapping[str, Any]) -> dict[str, Any]:
+def with_defaults(settings: Mapping[str, Any]) -> dict[str, Any]:
     """A recipe as it was written down, with what an older version did not know at its default."""
     return {**asdict(Recipe()), **settings}
-
-
-_FROM_ZERO = (
-    *(
-        "head_steps",
-        "tune_steps",
-        "head_rate",
-        "trunk_rate",
-        "weight_decay",
-        "warmup",
-        "last",
-        "average",
-        "tuned_share",
-        "clip",
-    ),
-    *("tuned_blocks", "held_out", "cache_versions", "mine_every", "seed", "split_seed", "full_steps"),
-)
-_FROM_ONE = ("epochs", "decay_over", "measure_every", "save_every", "size", "at_once")
-_FROM_TWO = ("places", "views", "clique")  # nothing can be told apart, or drawn together, with fewer
-_LEAST: dict[str, int] = {
-    name: least for least, names in enumerate((_FROM_ZERO, _FROM_ONE, _FROM_TWO)) for name in names
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,7 +317,7 @@ def preset(name: str) -> Preset:
     """Look a preset up.
 
     Raises:
-        ModelError: there is none of that name.
+        ModelError: If there is none of that name.
     """
     if name not in PRESETS:
         raise ModelError(f"there is no preset {name!r}: choose one of {', '.join(PRESETS)}")

@@ -31,31 +31,31 @@ from salad.files import write_whole
 from salad.images.decode import DECODER
 from salad.models.describer import Describer
 from salad.network.tokens import Tokens
-from salad.training.batches import BatchLoader, preprocessing_of
-from salad.training.devices import stirred
+from salad.training.batches import BatchLoader, training_preprocessing
+from salad.training.devices import combined_seed
 
 Kept = dict[str, Float16[Tensor, "..."]]
 
 
-class TokensCache:
+class TokenCache:
     """Tokens by photo and version, from disk where they are there.
 
     Args:
         model: whose backbone makes them; it must not be trained meanwhile.
-        feed: what reads, changes and normalises photos.
+        batches: what reads, changes and normalises photos.
         folder: where they lie; several runs may share it, at the same time too.
     """
 
-    def __init__(self, model: Describer, feed: BatchLoader, *, folder: Path) -> None:
-        self.model, self.feed, self.fabric = model, feed, feed.fabric
+    def __init__(self, model: Describer, batches: BatchLoader, *, folder: Path) -> None:
+        self.model, self.batches, self.fabric = model, batches, batches.fabric
         self.folder = folder / self._settings()
 
     def parts(self, step: int, batch: Sequence[View]) -> list[Tokens]:
         """This process's share of a step's batch, as tokens that pass through the head part after part."""
-        recipe = self.feed.recipe
+        recipe = self.batches.recipe
         chance = np.random.default_rng((recipe.seed, step, recipe.cache_versions))
         versions = chance.integers(recipe.cache_versions, size=len(batch)).tolist()
-        share = list(zip(self.feed.share(batch), self.feed.share(versions), strict=True))
+        share = list(zip(self.batches.rank_slice(batch), self.batches.rank_slice(versions), strict=True))
         each = recipe.at_once or len(share)
         return [self._stacked(share[start : start + each]) for start in range(0, len(share), each)]
 
@@ -81,9 +81,9 @@ class TokensCache:
     def _made(self, view: View, seed: int) -> Kept:
         """Describe one version; what is random about it is its own, and nobody else's is disturbed."""
         with torch.random.fork_rng(devices=[]), torch.no_grad(), self.fabric.autocast():
-            torch.manual_seed(stirred(seed))
+            torch.manual_seed(combined_seed(seed))
             self.model.backbone.eval()
-            tokens = self.model.tokens(self.feed.images([view]))
+            tokens = self.model.tokens(self.batches.changed([view]))
         patches = tokens.patches[0].view(*tokens.grid, -1)
         return {
             "patches": patches.to("cpu", torch.float16).contiguous(),
@@ -101,8 +101,8 @@ class TokensCache:
 
     def _settings(self) -> str:
         """Names what decides all files alike: the backbone, how photos are read and changed, the precision."""
-        recipe: Any = self.feed.recipe
-        size = asdict(preprocessing_of(self.model, recipe))
+        recipe: Any = self.batches.recipe
+        size = asdict(training_preprocessing(self.model, recipe))
         told = [self.model.config.as_dict()["backbone"], size, DECODER, recipe.augment, recipe.precision]
         digest = hashlib.blake2b(json.dumps(told, sort_keys=True).encode(), digest_size=8)
         for key, weight in sorted(self.model.backbone.state_dict().items()):

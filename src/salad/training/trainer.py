@@ -1,8 +1,8 @@
-"""The training loop: read it aloud.
+"""The training loop: read it aloud, from the top.
 
-A run lives in a folder (`runfolder`). The n-th step depends on the seed and n alone, so a run that was interrupted, or
-killed, ends as it would have. On several devices every process walks the same steps, each with its share of the batch;
-the first one alone speaks, measures and writes.
+A run lives in a folder (see `checkpoint`). The n-th step depends on the seed and n alone, so a run that was
+interrupted, or killed, ends as it would have. On several devices every process walks the same steps, each with its
+part of the batch; the first one alone speaks, measures and writes.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import nn
@@ -19,17 +20,24 @@ from torch import nn
 from salad.datasets.training_place import TrainingPlace, View
 from salad.models.describer import build
 from salad.training import checkpoint
-from salad.training.batches import BatchLoader, divided, sampler_of, steps_of
-from salad.training.checkpoint import State
-from salad.training.devices import launched, step_seed
-from salad.training.gradient_cache import Part, learn
-from salad.training.logger import Record, Say
+from salad.training.batches import BatchLoader, build_sampler, check_processes, count_steps
+from salad.training.checkpoint import TrainingState
+from salad.training.devices import launch_fabric, step_seed
+from salad.training.gradient_cache import Part, backward_in_parts
+from salad.training.logger import RunLogger, Say
 from salad.training.mining import mine
-from salad.training.optim import drift, multi_similarity, optimizer_of, rate_factor, set_rates
+from salad.training.optim import (
+    build_optimizer,
+    learning_rate_factor,
+    multi_similarity,
+    set_learning_rates,
+    update_average,
+)
 from salad.training.recipe import Preset, Recipe
-from salad.training.start import fit, needs_fitting, start_backbone
-from salad.training.token_cache import TokensCache
-from salad.training.validation import Judge, by_places_held_out
+from salad.training.start import start_backbone
+from salad.training.token_cache import TokenCache
+from salad.training.validation import Judge, judge_by_places_held_out
+from salad.training.vocabulary import fit, needs_fitting
 
 Progress = Callable[[int, int | None], None]
 TOKENS = "tokens"
@@ -55,11 +63,11 @@ def train(
 
     Args:
         preset: the model, where its backbone starts, and the recipe.
-        places: what to learn from; the recipe's share of them is held out.
+        places: what to learn from; the recipe's fraction of them is held out.
         to: the run's folder; a run found there goes on.
         start: other weights for the backbone than the preset's.
         accelerator: Fabric's word for where to run: `auto`, `cpu`, `gpu`, `mps`.
-        devices: devices of each machine; each takes a share of every batch.
+        devices: devices of each machine; each takes a part of every batch.
         nodes: machines; start the same command on each.
         judge: what measures the model, in place of its precision on the places held out.
         resume: insist on a run in `to` that has not ended.
@@ -72,54 +80,63 @@ def train(
         The folder of the best model.
 
     Raises:
-        MissingExtraError: the `train` extra is not installed.
-        BenchmarkError: there are too few places, or none of a place's photos can be read.
-        ModelError: `to` holds another run, or the model, the recipe and the devices do not fit together.
-        WeightsError: the backbone cannot start from `start`.
-        TrainingError: the loss is no number any more; a checkpoint cannot be read or written; or there is
+        MissingExtraError: If the `train` extra is not installed.
+        BenchmarkError: If there are too few places, or none of a place's photos can be read.
+        ModelError: If `to` holds another run, or the model, the recipe and the devices do not fit together.
+        WeightsError: If the backbone cannot start from `start`.
+        TrainingError: If the loss is no number any more, a checkpoint cannot be read or written, or there is
             nothing to resume. What was saved before stays.
     """
     recipe, start = preset.recipe, preset.start if start is None else start
-    divided(recipe, devices * nodes)
-    learnt, choose = recipe.split(places)
+    check_processes(recipe, devices * nodes)
+    learn_from, choose_by = recipe.split(places)
     model = build(preset.model, seed=recipe.seed)
     start_backbone(model, start)
-    sampler = sampler_of(recipe, learnt)
-    head, end = steps_of(recipe, sampler)
+    sampler = build_sampler(recipe, learn_from)
+    head_end, end = count_steps(recipe, sampler)
+
+    # Whatever is wrong with the folder is said before a process is started or a byte written.
     judged_by = "benchmark" if judge else "held_out"
-    identity = checkpoint.identity(recipe, preset.model, places, start=start, judge=judged_by)
-    saved = checkpoint.take_up(to, identity)
+    identity = checkpoint.run_identity(recipe, preset.model, places, start=start, judge=judged_by)
+    saved = checkpoint.load_checkpoint(to, identity)
     if resume and nodes == 1:  # before other processes are started, which would say the same
-        checkpoint.insist(to, saved, steps=end)
-    fabric = launched(accelerator, recipe.precision, devices=devices, nodes=nodes)
-    first = fabric.is_global_zero
+        checkpoint.require_unfinished(to, saved, steps=end)
+    fabric = launch_fabric(accelerator, recipe.precision, devices=devices, nodes=nodes)
     saved = fabric.broadcast(saved)  # what the first process wrote may lie on another machine's disk
     if resume and nodes > 1:
-        checkpoint.insist(to, saved, steps=end)
-    with closing(BatchLoader(model, recipe, learnt, sampler=sampler, fabric=fabric)) as feed:
-        if judge is None and choose:
-            judge = by_places_held_out(choose, feed.in_use)
-        record = Record(
-            to,
-            identity,
-            judge=judge,
-            tell=say if first else _silence,
-            first=first,
-            processes=fabric.world_size,
-        )
-        record.tell(f"{len(learnt)} places to learn from, {len(choose)} held out to choose by")
-        if saved is None and needs_fitting(model):
-            record.tell("fitting the aggregator to the photos before its first step")
-            photos = [photo for place in learnt for photo in place.photos]
-            fit(model, photos, seed=recipe.seed, passed_over=lambda error: record.tell(f"left out: {error}"))
-        run = _Run(State(model, tuned_share=recipe.tuned_share), feed, record, tokens=tokens or to / TOKENS)
-        run.begin(saved, resolved=checkpoint.resolved(preset, places, start=start, steps=end), board=board)
-        run.walk(head, end, progress=progress or _no_progress)
-        return record.end(run.state)
+        checkpoint.require_unfinished(to, saved, steps=end)
+
+    with closing(BatchLoader(model, recipe, learn_from, sampler=sampler, fabric=fabric)) as batches:
+        if judge is None and choose_by:
+            judge = judge_by_places_held_out(choose_by, batches.images_in_use)
+        first, processes = fabric.is_global_zero, fabric.world_size
+        logger = RunLogger(to, identity, judge=judge, say=say, first=first, processes=processes)
+        logger.say(f"{len(learn_from)} places to learn from, {len(choose_by)} held out to choose by")
+        if saved is None and needs_fitting(model):  # a run that goes on has its clusters in the checkpoint
+            logger.say("fitting the aggregator to the photos before its first step")
+            photos = [photo for place in learn_from for photo in place.photos]
+            fit(model, photos, seed=recipe.seed, passed_over=lambda error: logger.say(f"left out: {error}"))
+        state = TrainingState(model, tuned_share=recipe.tuned_share)
+        trainer = _Trainer(state, batches, logger, tokens=tokens or to / TOKENS)
+        config = checkpoint.run_config(preset, places, start=start, steps=end)
+        trainer.begin(saved, config=config, board=board)
+        trainer.run(head_end, end, progress=progress)
+        return logger.end(state)
 
 
-class _Stage(NamedTuple):
-    """A stretch of steps over which the same weights are trained by one optimizer."""
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """A stretch of steps over which the same weights are trained by one optimizer.
+
+    Args:
+        name: `head` or `tune`, as the log has it.
+        first: the number of its first step.
+        end: the number after that of its last.
+        module: what runs, set up by Fabric: the model, or its aggregator alone.
+        optimizer: of the weights trained.
+        cached: whether the module's input are tokens kept on disk.
+        parts: a step's batch as what passes through the module, one part after another.
+    """
 
     name: str
     first: int
@@ -130,122 +147,121 @@ class _Stage(NamedTuple):
     parts: Callable[[int, Sequence[View]], Sequence[Part]]
 
 
-class _Run:
-    """One run: its two stages are one walk over numbered steps."""
+class _Trainer:
+    """Walks the numbered steps of a run's two stages, from wherever the run stands."""
 
-    def __init__(self, state: State, feed: BatchLoader, record: Record, *, tokens: Path) -> None:
-        self.state, self.feed, self.record, self.tokens = state, feed, record, tokens
-        self.recipe: Recipe = feed.recipe
-        self.fabric, self.objective = feed.fabric, multi_similarity()
+    def __init__(
+        self, state: TrainingState, batches: BatchLoader, logger: RunLogger, *, tokens: Path
+    ) -> None:
+        self.state, self.batches, self.logger, self.tokens = state, batches, logger, tokens
+        self.recipe: Recipe = batches.recipe
+        self.fabric, self.objective = batches.fabric, multi_similarity()
 
-    def begin(self, saved: dict[str, Any] | None, *, resolved: dict[str, Any], board: bool) -> None:
+    def begin(self, saved: dict[str, Any] | None, *, config: dict[str, Any], board: bool) -> None:
         """Stand at the first step, or where the run stood when it was saved."""
         if saved:
-            self.state.take_up(saved)
+            self.state.load_state_dict(saved)
             if self.state.cliques:
-                self.feed.use_cliques(self.state.cliques)
+                self.batches.use_cliques(self.state.cliques)
             if self.state.scaler:
                 self.fabric.strategy.precision.load_state_dict(self.state.scaler)
         self.state.to(self.fabric.device)
-        self.record.begin(self.state, saved, resolved=resolved, board=board)
+        self.logger.begin(self.state, saved, config=config, board=board)
 
-    def walk(self, head: int, end: int, *, progress: Progress) -> None:
-        """Both stages, from wherever the run stands."""
+    def run(self, head_end: int, end: int, *, progress: Progress | None) -> None:
+        """The head alone, then the last blocks of the backbone with it."""
+        state = self.state
         for name, first, last, blocks in (
-            ("head", 0, head, 0),
-            ("tune", head, end, self.recipe.tuned_blocks),
+            ("head", 0, head_end, 0),
+            ("tune", head_end, end, self.recipe.tuned_blocks),
         ):
-            if self.state.step < last:
-                if name == "tune" and self.state.step == first:
-                    self.state.remember()
-                stage = self._stage(name, first, last, blocks)
-                while self.state.step < last:
-                    self._step(stage)
-                    if self.record.first:
-                        progress(self.state.step, end)
+            if state.step >= last:
+                continue
+            if name == "tune" and state.step == first:
+                state.remember_before_tuning()
+            stage = self._begin_stage(name, first, last, blocks)
+            while state.step < last:
+                self._step(stage)
+                if progress and self.logger.first:
+                    progress(state.step, end)
 
-    def _stage(self, name: str, first: int, end: int, blocks: int) -> _Stage:
+    def _begin_stage(self, name: str, first: int, end: int, blocks: int) -> _Stage:
         model = self.state.model
         model.backbone.train_last(blocks)
         cached = self.recipe.cached(blocks)
-        feed = TokensCache(model, self.feed, folder=self.tokens) if cached else self.feed
+        source = TokenCache(model, self.batches, folder=self.tokens) if cached else self.batches
         module, optimizer = self.fabric.setup(
-            model.aggregator if cached else model, optimizer_of(model, self.recipe)
+            model.aggregator if cached else model, build_optimizer(model, self.recipe)
         )
-        if first < self.state.step and self.state.momenta:  # at a stage's start its optimizer is a new one
-            optimizer.load_state_dict(self.state.momenta)
-        self.state.momenta = None
-        return _Stage(name, first, end, module, optimizer, cached, feed.parts)
+        if first < self.state.step and self.state.optimizer:  # at a stage's start its optimizer is a new one
+            optimizer.load_state_dict(self.state.optimizer)
+        self.state.optimizer = None  # twice the weights' size, and read
+        return _Stage(name, first, end, module, optimizer, cached, source.parts)
 
     def _step(self, stage: _Stage) -> None:
+        """Learn from one batch; measure and save every so often."""
         state, recipe = self.state, self.recipe
-        self._mine()
-        set_rates(stage.optimizer, rate_factor(state.step - stage.first, stage.end - stage.first, recipe))
-        loss = self._learn(stage, self.feed.batch(state.step))
-        drift(state.average, state.model, decay=recipe.average, step=state.step)
+        if recipe.sampler == "cliques" and state.step and state.step % recipe.mine_every == 0:
+            self._mine()
+        rate = learning_rate_factor(state.step - stage.first, stage.end - stage.first, recipe)
+        set_learning_rates(stage.optimizer, rate)
+        loss = self._learn(stage, self.batches.batch(state.step))
+        update_average(state.average, state.model, decay=recipe.average, step=state.step)
         state.step += 1
-        self.record.draw(state, stage.optimizer, loss)
+        self.logger.draw(state, stage.optimizer, loss)
         measured = state.step % recipe.measure_every == 0 or state.step == stage.end
         if measured:
-            self._tell_news()
-            self.record.measure(state, stage=stage.name, loss=loss)
+            for unreadable in self.batches.newly_unreadable():
+                self.logger.say(unreadable)
+            self.logger.measure(state, stage=stage.name, loss=loss)
+        # Saved with each measurement, which may have found the best weights so far.
         if measured or state.step % recipe.save_every == 0:
-            self.record.save(state, stage.optimizer, self.fabric.strategy.precision.state_dict())
+            self.logger.save(state, stage.optimizer, self.fabric.strategy.precision.state_dict())
             self.fabric.barrier()
 
     def _learn(self, stage: _Stage, batch: Sequence[View]) -> float:
+        """One step of the optimizer; the batch's loss."""
+        # Seeded by the step's number, so that nothing random need be saved for a run to go on as it would have.
         seed = step_seed(self.recipe.seed, self.state.step, self.fabric.global_rank)
         torch.manual_seed(seed)
         stage.module.train()
         parts = stage.parts(self.state.step, batch)
-        if stage.cached:  # whatever had to be described first
+        if stage.cached:  # again: whatever had to be described first must make no difference
             torch.manual_seed(seed)
-        labels = self.feed.labels(batch)
+        labels = self.batches.labels(batch)
         loss = float(
-            learn(self.fabric, stage.module, parts=parts, labels=labels, objective=self.objective, seed=seed)
+            backward_in_parts(
+                self.fabric, stage.module, parts=parts, labels=labels, objective=self.objective, seed=seed
+            )
         )
         length = self.fabric.clip_gradients(
             stage.module,
             stage.optimizer,
-            max_norm=self.recipe.clip or math.inf,
-            error_if_nonfinite=False,
+            max_norm=self.recipe.clip or math.inf,  # without a limit too: it is what tells the length
+            error_if_nonfinite=False,  # half precision may overshoot, and is looked at below
         )
-        self._insist(loss, float(length), batch)
+        if not math.isfinite(loss):
+            raise self.logger.stop(self.state, batch, f"the loss is {loss}")
+        # A scale above 1 may be what made the gradient infinite: the scaler leaves such a step out and lowers itself.
+        scaler = getattr(self.fabric.strategy.precision, "scaler", None)
+        scaled = scaler is not None and float(scaler.get_scale()) >= 1
+        if not math.isfinite(float(length)) and not scaled:
+            raise self.logger.stop(self.state, batch, f"the gradient's length is {float(length)}")
         stage.optimizer.step()
         stage.optimizer.zero_grad()
         return loss
 
-    def _insist(self, loss: float, length: float, batch: Sequence[View]) -> None:
-        """Stop where there is nothing sound to learn; half precision may overshoot, and then lowers its scale."""
-        scaler = getattr(self.fabric.strategy.precision, "scaler", None)
-        scaling = scaler is not None and float(scaler.get_scale()) >= 1
-        if not math.isfinite(loss):
-            raise self.record.stop(self.state, batch, f"the loss is {loss}")
-        if not math.isfinite(length) and not scaling:
-            raise self.record.stop(self.state, batch, f"the gradient's length is {length}")
-
     def _mine(self) -> None:
-        """Where the recipe wants batches of places that look alike, look for them every so often."""
-        step, recipe, feed = self.state.step, self.recipe, self.feed
-        if recipe.sampler != "cliques" or step == 0 or step % recipe.mine_every:
-            return
+        """Look for places that look alike to the model as it stands, and draw batches from those."""
         cliques: list[list[int]] = []
-        if self.record.first:
+        if self.logger.first:  # every process would find the same, and describe all places for it
             cliques = mine(
-                self.state.average, feed.places, feed.in_use, folder=self.record.folder, size=recipe.clique
+                self.state.average,
+                self.batches.places,
+                self.batches.images_in_use,
+                folder=self.logger.folder,
+                size=self.recipe.clique,
             )
-            self.record.tell(f"{len(cliques)} cliques of places that look alike at step {step}")
+            self.logger.say(f"{len(cliques)} cliques of places that look alike at step {self.state.step}")
         self.state.cliques = self.fabric.broadcast(cliques)
-        feed.use_cliques(self.state.cliques)
-
-    def _tell_news(self) -> None:
-        for news in self.feed.news():
-            self.record.tell(news)
-
-
-def _silence(_: str) -> None:
-    """What the other processes say."""
-
-
-def _no_progress(_: int, __: int | None) -> None:
-    """Nobody watches."""
+        self.batches.use_cliques(self.state.cliques)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, Int64
 
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import BenchmarkError, PhotoError
@@ -22,7 +22,7 @@ Judge = Callable[[Describer], dict[str, float]]
 
 
 def precision_held_out(
-    model: Describer, places: Sequence[TrainingPlace], shelf: ImageCache
+    model: Describer, places: Sequence[TrainingPlace], images: ImageCache
 ) -> dict[str, float]:
     """How well each city's newest photos find all others of their place: mean average precision in percent.
 
@@ -35,16 +35,21 @@ def precision_held_out(
         One figure a city, and their mean.
 
     Raises:
-        BenchmarkError: not one photo can be read.
+        BenchmarkError: If not one photo can be read.
     """
-    seen = [(number, photo) for number, place in enumerate(places) for photo in _readable(place, shelf)]
-    if not seen:
+    shows, photos = [], []
+    for number, place in enumerate(places):
+        for path in place.photos:
+            with suppress(PhotoError):
+                photos.append(images.array(path))
+                shows.append(number)
+    if not photos:
         raise BenchmarkError(
             f"none of the photos of {len(places)} places held out can be read, so there is nothing to choose by: "
             "check the data, or hold out none"
         )
-    described = model.describe([photo for _, photo in seen], batch_size=32)
-    return precision_of(described, np.array([number for number, _ in seen]), [place.city for place in places])
+    described = model.describe(photos, batch_size=32)
+    return precision_of(described, np.array(shows), [place.city for place in places])
 
 
 def precision_of(
@@ -62,24 +67,18 @@ def precision_of(
     for number, city in enumerate(cities):
         for query in np.flatnonzero(shows == number)[-QUERIES:]:
             order = np.argsort(-scores[query], kind="stable")
-            order = order[order != query]
+            order = order[order != query]  # a photo finds itself first
             found[city].append(average_precision(shows[order] == number))
     precision = {city: round(100 * float(np.mean(each)), 2) for city, each in sorted(found.items())}
     return {**precision, "mean": round(float(np.mean(list(precision.values()))), 2)}
 
 
-def by_places_held_out(places: Sequence[TrainingPlace], shelf: ImageCache) -> Judge:
+def judge_by_places_held_out(places: Sequence[TrainingPlace], images: ImageCache) -> Judge:
     """The judge that is used where none is given."""
-    return lambda model: precision_held_out(model, places, shelf)
-
-
-def _readable(place: TrainingPlace, shelf: ImageCache) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    for photo in place.photos:
-        with suppress(PhotoError):
-            yield shelf.array(photo)
+    return lambda model: precision_held_out(model, places, images)
 
 
 def average_precision(right: Bool[np.ndarray, " ranked"]) -> float:
-    """Mean, over the right ones of a ranking, of the share of right ones down to each; 0 where none is right."""
+    """Mean, over the right ones of a ranking, of the fraction of right ones down to each; 0 where none is right."""
     ranks = np.flatnonzero(right) + 1
     return float(np.mean(np.arange(1, len(ranks) + 1) / ranks)) if len(ranks) else 0.0

@@ -18,8 +18,8 @@ from salad.network.aggregator_config import NetVladConfig, SceneConfig, VladConf
 from salad.network.aggregators.netvlad import NetVlad
 from salad.network.aggregators.vlad import Vlad
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing
-from salad.training import start
-from salad.training.start import fit, needs_fitting, with_vocabulary
+from salad.training import vocabulary
+from salad.training.vocabulary import fit, needs_fitting, with_vocabulary
 
 VLAD = ModelConfig("tiny", LiteConfig(blocks=3), VladConfig(24, clusters=4), Preprocessing(24, 32))
 NETVLAD = dataclasses.replace(VLAD, aggregator=NetVladConfig(24, clusters=4))
@@ -85,7 +85,7 @@ def test_the_same_seed_fits_the_same_and_disturbs_nobody() -> None:
 
 
 def test_no_more_photos_are_read_than_the_tokens_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(start, "PER_PHOTO", 10)
+    monkeypatch.setattr(vocabulary, "PER_PHOTO", 10)
     model, read, told = build(VLAD), list[int](), list[tuple[int, int | None]]()
     model.prepare = lambda photos: (read.append(photos[0]), build(VLAD).prepare([_photo(photos[0])]))[1]
     fit(model, list(range(50)), seed=0, tokens=35, progress=lambda *both: told.append(both))
@@ -117,7 +117,7 @@ def test_tokens_that_hardly_differ_are_no_reason_to_warn() -> None:
     rows = np.ones((40, 3), np.float32)
     rows[:20] = -1
     rows[7, 0] = np.nextafter(np.float32(-1), np.float32(0))
-    centroids = start._centroids(start._kmeans(3, 0), rows)
+    centroids = vocabulary._centroids(vocabulary._kmeans(3, 0), rows)
     assert centroids.shape == (3, 3)
     np.testing.assert_allclose(np.abs(centroids), 1, atol=1e-6)
 

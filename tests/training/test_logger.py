@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from salad.errors import MissingExtraError
-from salad.training.logger import BOARD, Board
+from salad.training.logger import BOARD, BoardWriter
 
 Teach = Callable[..., Path]
 
@@ -32,11 +32,11 @@ def test_a_run_draws_loss_rate_and_score(teach: Teach, tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_what_was_drawn_too_far_is_wiped(tmp_path: Path) -> None:
-    killed = Board(tmp_path, step=0)
+    killed = BoardWriter(tmp_path, step=0)
     for step in (1, 2, 3):
         killed.draw(step, {"loss": 1.0})
     killed.flush()
-    resumed = Board(tmp_path, step=2)
+    resumed = BoardWriter(tmp_path, step=2)
     resumed.draw(3, {"loss": 2.0})
     resumed.close()
     killed.close()
@@ -46,4 +46,4 @@ def test_what_was_drawn_too_far_is_wiped(tmp_path: Path) -> None:
 def test_without_tensorboard_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(MissingExtraError, match="curves for TensorBoard needs the 'train' extra"):
-        Board(tmp_path, step=0)
+        BoardWriter(tmp_path, step=0)

@@ -1,0 +1,162 @@
+"""What an aggregator takes from photos before any training: NetVLAD's start, and AnyLoc's vocabulary.
+
+photos ──> some tokens of each, of length 1 ──> k-means ──> the aggregator
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import nn
+from torch.nn import functional as F
+
+from salad.errors import MissingExtraError, ModelError, PhotoError
+from salad.models.describer import Describer, PhotoLike, build, evaluating
+from salad.network.aggregator_config import VladConfig
+from salad.network.aggregators.netvlad import NetVlad
+from salad.network.aggregators.vlad import Vlad
+
+PER_PHOTO = 100  # tokens taken of a photo where there are photos enough: neighbours say nearly the same
+Passed = Callable[[PhotoError], None]
+Progress = Callable[[int, int | None], None]
+
+
+def needs_fitting(model: nn.Module) -> bool:
+    """Whether a model, or an aggregator, is to be fitted to photos and was not yet."""
+    part = getattr(model, "aggregator", model)
+    return isinstance(part, NetVlad | Vlad) and not bool(part.fitted)
+
+
+def fit(
+    model: Describer,
+    photos: Sequence[PhotoLike],
+    *,
+    seed: int,
+    tokens: int = 50_000,
+    passed_over: Passed | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Start NetVLAD, or make VLAD's vocabulary, from the tokens of photos; other aggregators need nothing.
+
+    Args:
+        model: it is changed in place.
+        photos: of the kind it will meet; where there are many, some are drawn.
+        seed: of what is drawn, and of k-means.
+        tokens: how many tokens to gather.
+        passed_over: told of each photo that cannot be read, and another takes its place; without it, an error.
+        progress: told how many tokens there are, and how many there are to be.
+
+    Raises:
+        ModelError: the photos give fewer different tokens than there are clusters.
+        PhotoError: a photo cannot be read, and nobody is told.
+        MissingExtraError: the `train` extra is not installed.
+    """
+    aggregator = model.aggregator
+    if not isinstance(aggregator, NetVlad | Vlad):
+        return
+    kmeans = _kmeans(aggregator.config.clusters, seed)  # before the work, which would be lost without it
+    gathered = _gathered(model, photos, seed=seed, passed_over=passed_over)
+    units = _enough(gathered, tokens, len(photos), progress)
+    centroids = _centroids(kmeans, units)
+    aggregator.start_from(*(torch.from_numpy(each).to(model.device) for each in (centroids, units)))
+
+
+def with_vocabulary(
+    model: Describer,
+    photos: Sequence[PhotoLike],
+    *,
+    seed: int = 0,
+    clusters: int = 32,
+    passed_over: Passed | None = None,
+    progress: Progress | None = None,
+) -> Describer:
+    """AnyLoc's model: the backbone of another under a VLAD whose vocabulary is of these photos.
+
+    Args:
+        model: whose backbone and preprocessing to take; it shares its weights and stays as it is.
+        photos: of the domain it is for.
+        seed: as `fit` takes it.
+        clusters: words of the vocabulary.
+        passed_over: as `fit` takes it.
+        progress: as `fit` takes it.
+
+    Raises:
+        ModelError: the photos give too few tokens.
+        PhotoError: a photo cannot be read, and nobody is told.
+        MissingExtraError: the `train` extra is not installed.
+    """
+    config = dataclasses.replace(
+        model.config,
+        name=f"{model.name}-vlad",
+        aggregator=VladConfig(model.backbone.width, clusters),
+        provenance=f"the backbone of {model.name} ({model.fingerprint}), a vocabulary of {clusters} words",
+        calibration=None,  # it is of other scores
+    )
+    made = build(config)
+    made.backbone = model.backbone
+    made.to(model.device)
+    fit(made, photos, seed=seed, passed_over=passed_over, progress=progress)
+    return made
+
+
+def _gathered(
+    model: Describer, photos: Sequence[PhotoLike], *, seed: int, passed_over: Passed | None
+) -> Iterator[Float32[np.ndarray, "n d"]]:
+    """The tokens of each photo, of length 1, photos and tokens in an order drawn by the seed."""
+    chance = np.random.default_rng(seed)
+    for number in chance.permutation(len(photos)):
+        try:
+            image = model.prepare([photos[number]])
+        except PhotoError as error:
+            if passed_over is None:
+                raise
+            passed_over(error)
+            continue
+        with torch.inference_mode(), evaluating(model):
+            units = F.normalize(model.tokens(image).patches[0].float(), dim=1).cpu().numpy()
+        yield units[chance.permutation(len(units))]
+
+
+def _enough(
+    gathered: Iterator[Float32[np.ndarray, "n d"]], tokens: int, photos: int, progress: Progress | None
+) -> Float32[np.ndarray, "t d"]:
+    """The first tokens of each photo, until there are enough."""
+    each = max(PER_PHOTO, math.ceil(tokens / max(1, photos)))
+    taken: list[Float32[np.ndarray, "t d"]] = []
+    have = 0
+    for units in gathered:
+        taken.append(units[: min(each, tokens - have)])
+        have += len(taken[-1])
+        if progress is not None:
+            progress(have, tokens)
+        if have >= tokens:
+            break
+    return np.concatenate(taken) if taken else np.zeros((0, 1), np.float32)
+
+
+def _kmeans(clusters: int, seed: int) -> Any:
+    try:
+        return import_module("sklearn.cluster").KMeans(clusters, n_init=1, random_state=seed)
+    except ImportError as error:
+        raise MissingExtraError("fitting an aggregator to photos", "train") from error
+
+
+def _centroids(kmeans: Any, units: Float32[np.ndarray, "t d"]) -> Float32[np.ndarray, "k d"]:
+    different = len(np.unique(units, axis=0))
+    if different < kmeans.n_clusters:
+        raise ModelError(
+            f"the photos give {different} different tokens, but {kmeans.n_clusters} clusters need as many at least: "
+            "give more photos, or ask for fewer clusters"
+        )
+    with warnings.catch_warnings():  # tokens that hardly differ may share a centroid: no harm is done
+        warnings.simplefilter("ignore", UserWarning)
+        centroids: Float32[np.ndarray, "k d"] = kmeans.fit(units).cluster_centers_.astype(np.float32)
+    return centroids
