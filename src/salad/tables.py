@@ -1,26 +1,128 @@
-"""Lines of comma-separated values, whatever the values hold."""
+"""Tables, whatever they list: CSV with the columns' names in its first line, and Parquet where pyarrow is there.
+
+What CSV is in the wild is decided here for everybody: UTF-8 with or without a mark, commas, quotes around whatever
+holds a comma or an end of line, blank lines passed over. Which columns a table needs, and the sentence where it
+lacks one, are its reader's own.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from salad.errors import MissingExtraError
 
+Header = Callable[[list[str]], Sequence[str]]
+"""Takes the columns' names as a table has them, and gives what to call them; or raises, where one is missing."""
 
-class _Back:
-    def write(self, line: str) -> str:
-        return line
+CsvError = csv.Error
+"""What is raised in the middle of a text that is no CSV."""
+
+_ROWS = 1000  # of Parquet in memory
+
+
+def as_written(names: list[str]) -> list[str]:
+    """The `Header` that takes whatever columns there are."""
+    return names
+
+
+def read_csv(
+    path: Path,
+    header: Header = as_written,
+    *,
+    strict: bool = True,
+    errors: str = "strict",
+    missing: str | None = "",
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """The lines of a CSV file, one after another; memory stays small.
+
+    Args:
+        path: The file.
+        header: Looks at the columns' names.
+        strict: Whether quotes that are never closed are an error, or are read as far as the file goes.
+        errors: What becomes of bytes that are not UTF-8, as `open` has it: "surrogateescape" keeps names of files
+            that are no text.
+        missing: What stands in the columns that a short line does not reach.
+
+    Yields:
+        The number of the line that a row ends in, and its fields by the columns' names, as texts. What stands behind
+        the last column is a list under None, so that a reader can refuse a line that is too long.
+
+    Raises:
+        OSError: If the file cannot be read.
+        UnicodeDecodeError: If it is not UTF-8, and `errors` is "strict".
+        CsvError: If it is not CSV.
+    """
+    with path.open(encoding="utf-8-sig", errors=errors, newline="") as file:
+        reader = csv.DictReader(file, strict=strict, restval=missing)
+        reader.fieldnames = header(list(reader.fieldnames or []))
+        for fields in reader:
+            yield reader.line_num, fields
+
+
+def read_parquet(path: Path, header: Header = as_written) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The rows of a Parquet file, one after another; memory stays small.
+
+    Args:
+        path: The file.
+        header: Looks at the columns' names, where there is any row at all.
+
+    Yields:
+        The number of the row, from 1, and its values by the columns' names.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is no Parquet.
+        MissingExtraError: If pyarrow is not installed.
+    """
+    pyarrow, parquet = _arrow("reading Parquet")
+    names: Sequence[str] = ()
+    try:
+        batches = parquet.ParquetFile(path).iter_batches(batch_size=_ROWS)
+        rows = (row for batch in batches for row in batch.to_pylist())
+        for number, row in enumerate(rows, start=1):
+            names = names or header(list(row))  # every row has the same columns
+            yield number, dict(zip(names, row.values(), strict=True))
+    except pyarrow.ArrowException as error:
+        raise ValueError(f"it is no Parquet ({error})") from error
+
+
+@contextmanager
+def write_table(
+    path: Path, columns: Mapping[str, type]
+) -> Iterator[Callable[[Iterable[Mapping[str, Any]]], None]]:
+    """Begin a table, Parquet where its name ends in `.parquet` and CSV else; what it gives takes rows, some at a time.
+
+    Args:
+        path: The file; one that is there is replaced.
+        columns: The columns' names, and whether they hold `str` or `float`; None stands for what is not known.
+
+    Raises:
+        OSError: If the file cannot be written.
+        UnicodeEncodeError: If a text is none, and the table is Parquet; CSV keeps every name of a file.
+        MissingExtraError: If it is to be Parquet, and pyarrow is not installed.
+    """
+    if path.suffix == ".parquet":
+        pyarrow, parquet = _arrow("writing Parquet")
+        kinds = {str: pyarrow.string(), float: pyarrow.float64()}
+        schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns.items()])
+        with parquet.ParquetWriter(path, schema) as table:
+            yield lambda rows: table.write_table(pyarrow.Table.from_pylist(list(rows), schema=schema))
+    else:
+        with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+            file.write(csv_line(columns))
+            yield lambda rows: file.writelines(csv_line(row[name] for name in columns) for row in rows)
 
 
 def csv_line(values: Iterable[object]) -> str:
     """One line with its end; None leaves its field empty. What the values hold comes back from any reader of CSV.
 
     Raises:
-        TypeError: `values` cannot be gone through.
+        TypeError: If `values` cannot be gone through.
     """
     # Older Pythons put quotes around an end of line only where it holds a character of their own line's end.
     end = "\r\n"
@@ -28,35 +130,16 @@ def csv_line(values: Iterable[object]) -> str:
     return line.removesuffix(end) + "\n"
 
 
-# --- Parquet tables, if pyarrow is there ---
+class _Back:
+    """A file for csv's writer that hands each line back to whoever wrote it."""
+
+    def write(self, line: str) -> str:
+        return line
 
 
-_AT_ONCE = 1000  # rows in memory
-
-
-def arrow(doing: str) -> tuple[Any, Any]:
-    """The Parquet part of pyarrow, behind pyarrow itself.
-
-    Raises:
-        MissingExtraError: it is not installed; `doing` says what for.
-    """
+def _arrow(doing: str) -> tuple[Any, Any]:
+    """The package pyarrow, and its part for Parquet."""
     try:
         return import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError as error:
         raise MissingExtraError(doing, "parquet") from error
-
-
-def rows(path: Path) -> Iterator[dict[str, Any]]:
-    """The rows of a file, one after another, by the names of their columns.
-
-    Raises:
-        ValueError: it is no Parquet.
-        OSError: it cannot be read.
-        MissingExtraError: pyarrow is not installed.
-    """
-    pyarrow, parquet = arrow("reading Parquet")
-    try:
-        for batch in parquet.ParquetFile(path).iter_batches(batch_size=_AT_ONCE):
-            yield from batch.to_pylist()
-    except pyarrow.ArrowException as error:
-        raise ValueError(f"it is no Parquet ({error})") from error

@@ -2,30 +2,162 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 import os
 import sys
 import unicodedata
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import TextIO
+from typing import IO, TextIO
 
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint
 from salad.images.decode import existing, naming
 from salad.images.metadata import Position, parse_at_name, read_exif
-from salad.tables import rows
-
-# --- Positions of photos from a table: CSV or Parquet with the columns `path,lat,lon[,heading,time]` ---
-
+from salad.tables import CsvError, read_csv, read_parquet
 
 _NEEDED = ("path", "lat", "lon")
 _LONG_NAME = 40  # characters of a column's name that a sentence tells
+SUFFIXES = frozenset(
+    {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff", ".bmp", ".gif"}
+    | {".ppm", ".pgm", ".pnm", ".jp2", ".avif", ".heic", ".heif"}
+)
+"""What a photo's name ends in, in small letters; a folder's other files are not photos."""
+
+
+@dataclass(frozen=True, slots=True)
+class Photo:
+    """A photo and what is known of it.
+
+    Attributes:
+        path: Its file.
+        where: Where it was taken.
+        heading: Which way the camera looked, in degrees clockwise from north, 0 to 360.
+        time: When it was taken; local time where it carries no time zone.
+    """
+
+    path: Path
+    where: GeoPoint | None = None
+    heading: float | None = None
+    time: datetime | None = None
+
+
+# --- finding -------------------------------------------------------------------------------
+
+
+def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> list[Path]:
+    """The photos that files, folders and lists name, each once.
+
+    Folders are walked in order of names, through links but never in circles; what is hidden and what does not
+    end in one of `SUFFIXES` is left out. A file given by name is taken whatever it ends in. `-` stands for a
+    list on `stdin` (the process's own where not given), one file or folder a line.
+
+    Raises:
+        PhotoError: If a source is missing, a folder cannot be read or holds no photo, or nothing is named.
+    """
+    found: dict[Path, None] = {}
+    for source in sources:
+        if source == "":  # an unset variable in a script, which must not mean the folder it runs in
+            raise PhotoError("one of the photos named is an empty text: check the script that names it")
+        named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
+        for path in named:
+            inside = os.path.isdir(path)  # noqa: PTH112  # Path.is_dir fails over a name too long
+            found.update(dict.fromkeys(_photos_in(path) if inside else [existing(path)]))
+    if not found:
+        raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
+    return list(found)
+
+
+def listed(stdin: TextIO) -> list[Path]:
+    """The paths a list names, one a line; blank lines are left out.
+
+    Raises:
+        PhotoError: If the list is not text.
+    """
+    try:
+        lines = [line.removeprefix("\ufeff").rstrip("\r\n") for line in stdin]
+    except UnicodeDecodeError as error:
+        raise PhotoError("the list on standard input is not text: write one path a line, in UTF-8") from error
+    return [Path(line) for line in lines if line.strip()]
+
+
+def _photos_in(folder: Path) -> list[Path]:
+    photos: list[Path] = []
+    seen: set[str] = set()
+
+    def refuse(error: OSError) -> None:
+        raise PhotoError(
+            f"the folder {error.filename} cannot be read ({error.strerror}): leave it out"
+        ) from error
+
+    for here, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
+        real = os.path.realpath(here)  # a folder may be reached by several links, also from within itself
+        fresh = real not in seen
+        seen.add(real)
+        folders[:] = sorted(name for name in folders if fresh and not name.startswith("."))
+        if fresh:
+            # Names as plain texts: a Path for each of a million files would take longer than the walk.
+            named = [name for name in files if not name.startswith(".")]
+            photos += [Path(here, name) for name in named if name[name.rfind(".") :].lower() in SUFFIXES]
+    if not photos:
+        raise PhotoError(
+            f"the folder {folder} holds no photos: none of its files ends in .jpg, .png or the like"
+        )
+    return sorted(photos)
+
+
+# --- what is known -------------------------------------------------------------------------
+
+
+def read_photo(path: Path, table: PhotoTable | None = None, *, file: IO[bytes] | None = None) -> Photo:
+    """A photo with its position, heading and time, each from the first that has it: table, `@` name, EXIF.
+
+    Pixels are not decoded: a photo that cannot be opened has no EXIF here, and `decode` says what is wrong.
+
+    Args:
+        path: The file.
+        table: What is known from elsewhere.
+        file: The same file where it is open already, or held in memory.
+
+    Raises:
+        PhotoError: If there is no such file.
+    """
+    path = existing(Path(path))
+    own = (parse_at_name(path.name) or Position()).completed(read_exif(path, file=file))
+    return placed(Photo(path, own.where, own.heading, own.time), table)
+
+
+def placed(photo: Photo, table: PhotoTable | None) -> Photo:
+    """The photo with what a table says of it, which comes before what it says itself."""
+    listed = table.get(photo.path) if table else None
+    if listed is None:
+        return photo
+    known = listed.completed(Position(photo.where, photo.heading, photo.time))
+    return Photo(photo.path, known.where, known.heading, known.time)
+
+
+def content_hash(path: Path, *, file: IO[bytes] | None = None) -> str:
+    """Which photo this is, whatever its name: 32 hexadecimal digits of BLAKE2b over the file's bytes.
+
+    Args:
+        path: The file.
+        file: The same file where it is open already, or held in memory.
+
+    Raises:
+        PhotoError: If the file cannot be read.
+    """
+    path = existing(Path(path))
+    with naming(path), path.open("rb") if file is None else nullcontext(file) as source:
+        source.seek(0)
+        return hashlib.file_digest(source, lambda: hashlib.blake2b(digest_size=16)).hexdigest()  # type: ignore[arg-type]  # typeshed asks for more than it uses
+
+
+# --- positions of photos from a table ------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +190,12 @@ class PhotoTable:
         A name that ends in `.parquet` is read as Parquet, with the same columns; times may be timestamps.
 
         Raises:
-            MissingExtraError: it is Parquet, and pyarrow is not installed.
-            PositionError: where the file or a column is missing, a row makes no sense (named by its line), or
-                a photo has two rows.
+            MissingExtraError: If it is Parquet, and pyarrow is not installed.
+            PositionError: If the file or a column is missing, a row makes no sense (named by its line), or a photo
+                has two rows.
         """
         path = Path(path)
-        lines = _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_csv(path)
+        lines = _read_rows(path)
         by_place: dict[str, Row] = {}
         by_end: dict[str, Row] = {}
         for row in lines:
@@ -89,7 +221,7 @@ class PhotoTable:
         """Make sure that each row names exactly one of `photos`, for tables that should fit them.
 
         Raises:
-            PositionError: naming the first line that names none of them or two.
+            PositionError: If not; it names the first line that fits none of them or two.
         """
         taken: dict[int, str | Path] = {}
         for photo in photos:
@@ -126,52 +258,25 @@ def _spelled(path: str) -> str:
     return unicodedata.normalize("NFC", path)
 
 
-def _read_csv(path: Path) -> list[Row]:
+def _read_rows(path: Path) -> list[Row]:
+    read = read_parquet if path.suffix.lower() == ".parquet" else read_csv
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, strict=True, restval="")
-            reader.fieldnames = _header(path, reader.fieldnames or [])
-            return [_row(path, reader.line_num, fields) for fields in reader]
+        return [_row(path, line, fields) for line, fields in read(path, partial(_header, path))]
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise PositionError(
+            f"the table {path} cannot be read ({error.strerror or error}): check the name and who may read it"
+        ) from error
     except UnicodeDecodeError as error:
         raise PositionError(
             f"the table {path} is not UTF-8 text ({error.reason}): save it as CSV in UTF-8"
         ) from error
-    except csv.Error as error:
+    except CsvError as error:
         raise PositionError(f"the table {path} is not CSV ({error}): save it as CSV with commas") from error
-
-
-def _read_parquet(path: Path) -> list[Row]:
-    try:
-        return [_row(path, number, fields) for number, fields in enumerate(_fields(path), start=1)]
-    except OSError as error:
-        raise _unreadable(path, error) from error
     except ValueError as error:
         raise PositionError(f"the table {path} cannot be read: {error}; save it as Parquet or CSV") from error
 
 
-def _fields(path: Path) -> Iterator[dict[str, str]]:
-    header: list[str] = []
-    for row in rows(path):
-        header = header or _header(path, row)  # every row has the same columns
-        yield dict(zip(header, map(_text, row.values()), strict=True))
-
-
-def _text(value: object) -> str:
-    """A value as CSV would hold it; whoever has no heading may write nothing or NaN."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return value.isoformat() if isinstance(value, datetime) else str(value)
-
-
-def _unreadable(path: Path, error: OSError) -> PositionError:
-    return PositionError(
-        f"the table {path} cannot be read ({error.strerror or error}): check the name and who may read it"
-    )
-
-
-def _header(path: Path, names: Iterable[str]) -> list[str]:
+def _header(path: Path, names: list[str]) -> list[str]:
     header = [name.strip().lower() for name in names]
     for needed in _NEEDED:
         if header.count(needed) != 1:
@@ -189,27 +294,35 @@ def _legible(name: str) -> str:
     return name if name.isprintable() else repr(name)
 
 
-def _row(path: Path, line: int, fields: dict[str, str]) -> Row:
+def _row(path: Path, line: int, fields: Mapping[str, object]) -> Row:
     try:
-        name = _name(fields)
-        where = GeoPoint(_number(fields, "lat"), _number(fields, "lon"))
-        heading = _number(fields, "heading") % 360 if fields.get("heading", "").strip() else None
-        return Row(line, name, Position(where, heading, _time(fields.get("time", "").strip())))
+        texts = _texts(fields)
+        heading, time = texts.get("heading"), texts.get("time")
+        where = GeoPoint(_degrees(texts["lat"], "lat"), _degrees(texts["lon"], "lon"))
+        turned = _degrees(heading, "heading") % 360 if heading else None
+        return Row(line, texts["path"], Position(where, turned, _time(time) if time else None))
     except (ValueError, PositionError) as error:
         raise PositionError(f"{path}, line {line}: {error}; correct the row or leave it out") from error
 
 
-def _name(fields: dict[str, str]) -> str:
+def _texts(fields: Mapping[str, object]) -> dict[str, str]:
+    """A row's values as texts, a path among them."""
     if None in fields:
         raise ValueError("it has more fields than the header (put names with commas in quotes)")
-    name = fields["path"].strip()
-    if not name or "\0" in name:
+    texts = {name: _text(value) for name, value in fields.items()}
+    if not texts["path"] or "\0" in texts["path"]:
         raise ValueError("its path is empty or no file's name")
-    return name
+    return texts
 
 
-def _number(fields: dict[str, str], column: str) -> float:
-    text = fields[column].strip()
+def _text(value: object) -> str:
+    """A value of Parquet as CSV would hold it; whoever has no heading may write nothing or NaN."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return value.isoformat() if isinstance(value, datetime) else str(value).strip()
+
+
+def _degrees(text: str, column: str) -> float:
     with suppress(ValueError):
         number = float(text)
         if abs(number) <= 1e6:  # neither nan nor infinite, nor so large that a turn is lost in rounding
@@ -217,135 +330,7 @@ def _number(fields: dict[str, str], column: str) -> float:
     raise ValueError(f"its {column} {text!r} is not a number of degrees")
 
 
-def _time(text: str) -> datetime | None:
-    if not text:
-        return None
+def _time(text: str) -> datetime:
     with suppress(ValueError):
         return datetime.fromisoformat(text)
     raise ValueError(f"its time {text!r} is not written as 2024-05-31T14:00:00")
-
-
-SUFFIXES = frozenset(
-    {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff", ".bmp", ".gif"}
-    | {".ppm", ".pgm", ".pnm", ".jp2", ".avif", ".heic", ".heif"}
-)
-"""What a photo's name ends in, in small letters; a folder's other files are not photos."""
-
-
-@dataclass(frozen=True, slots=True)
-class Photo:
-    """A photo and what is known of it.
-
-    Attributes:
-        path: its file.
-        where: where it was taken.
-        heading: which way the camera looked, in degrees clockwise from north, 0 to 360.
-        time: when it was taken; local time where it carries no time zone.
-    """
-
-    path: Path
-    where: GeoPoint | None = None
-    heading: float | None = None
-    time: datetime | None = None
-
-
-# --- finding -------------------------------------------------------------------------------
-
-
-def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> list[Path]:
-    """The photos that files, folders and lists name, each once.
-
-    Folders are walked in order of names, through links but never in circles; what is hidden and what does not
-    end in one of `SUFFIXES` is left out. A file given by name is taken whatever it ends in. `-` stands for a
-    list on `stdin` (the process's own where not given), one file or folder a line.
-
-    Raises:
-        PhotoError: where a source is missing, a folder cannot be read or holds no photo, or nothing is named.
-    """
-    found: dict[Path, None] = {}
-    for source in sources:
-        if source == "":  # an unset variable in a script, which must not mean the folder it runs in
-            raise PhotoError("one of the photos named is an empty text: check the script that names it")
-        named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
-        for path in named:
-            inside = os.path.isdir(path)  # noqa: PTH112  # Path.is_dir fails over a name too long
-            found.update(dict.fromkeys(_photos_in(path) if inside else [existing(path)]))
-    if not found:
-        raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
-    return list(found)
-
-
-def listed(stdin: TextIO) -> list[Path]:
-    """The paths a list names, one a line; blank lines are left out.
-
-    Raises:
-        PhotoError: where the list is not text.
-    """
-    try:
-        lines = [line.removeprefix("\ufeff").rstrip("\r\n") for line in stdin]
-    except UnicodeDecodeError as error:
-        raise PhotoError("the list on standard input is not text: write one path a line, in UTF-8") from error
-    return [Path(line) for line in lines if line.strip()]
-
-
-def _photos_in(folder: Path) -> list[Path]:
-    photos: list[Path] = []
-    seen: set[str] = set()
-
-    def refuse(error: OSError) -> None:
-        raise PhotoError(
-            f"the folder {error.filename} cannot be read ({error.strerror}): leave it out"
-        ) from error
-
-    for here, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
-        real = os.path.realpath(here)
-        fresh = real not in seen
-        seen.add(real)
-        folders[:] = sorted(name for name in folders if fresh and not name.startswith("."))
-        if fresh:
-            photos += [Path(here, name) for name in files if _looks_like_photo(name)]
-    if not photos:
-        raise PhotoError(
-            f"the folder {folder} holds no photos: none of its files ends in .jpg, .png or the like"
-        )
-    return sorted(photos)
-
-
-def _looks_like_photo(name: str) -> bool:
-    return not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES  # noqa: PTH122  # a Path for each file is slow
-
-
-# --- what is known -------------------------------------------------------------------------
-
-
-def read_photo(path: Path, table: PhotoTable | None = None) -> Photo:
-    """A photo with its position, heading and time, each from the first that has it: table, `@` name, EXIF.
-
-    Pixels are not decoded: a photo that cannot be opened has no EXIF here, and `open_rgb` says what is wrong.
-
-    Raises:
-        PhotoError: where there is no such file.
-    """
-    path = existing(Path(path))
-    told = (parse_at_name(path.name) or Position()).completed(read_exif(path))
-    return placed(Photo(path, told.where, told.heading, told.time), table)
-
-
-def placed(photo: Photo, table: PhotoTable | None) -> Photo:
-    """The photo with what a table says of it, which comes before what it says itself."""
-    told = table.get(photo.path) if table else None
-    if told is None:
-        return photo
-    told = told.completed(Position(photo.where, photo.heading, photo.time))
-    return Photo(photo.path, told.where, told.heading, told.time)
-
-
-def content_hash(path: Path) -> str:
-    """Which photo this is, whatever its name: 32 hexadecimal digits of BLAKE2b over the file's bytes.
-
-    Raises:
-        PhotoError: where the file cannot be read.
-    """
-    path = existing(Path(path))
-    with naming(path), path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

@@ -7,7 +7,6 @@ taken as well: one `.npy` and one table in a folder; of which model they are, th
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
@@ -29,7 +28,7 @@ from salad.index import index_folder
 from salad.index.index import Index
 from salad.index.vectors import FileRows, NpyWriter
 from salad.search.base import UNIT_TOLERANCE
-from salad.tables import arrow, csv_line, rows
+from salad.tables import CsvError, read_csv, read_parquet, write_table
 
 # --- Photos as a table that other programs read: CSV, Parquet, GeoJSON. One line a photo, in a given order ---
 #
@@ -54,16 +53,23 @@ def writer(path: Path) -> AbstractContextManager[Put]:
     Raises:
         MissingExtraError: If it is to be Parquet, and what writes it is not installed.
     """
-    return {".csv": _csv_writer, ".parquet": _parquet_writer, ".geojson": _geojson_writer}[path.suffix](path)
+    return _geojson_writer(path) if path.suffix == ".geojson" else _table_writer(path)
 
 
 @contextmanager
-def _csv_writer(path: Path) -> Iterator[Put]:
-    with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
-        file.write(csv_line(COLUMNS))
-        yield lambda photos, identities: file.writelines(
-            csv_line(record[name] for name in COLUMNS) for record in map(_record, photos, identities)
-        )
+def _table_writer(path: Path) -> Iterator[Put]:
+    kinds = {name: float if name in _DEGREES else str for name in COLUMNS}
+    with write_table(path, kinds) as write:
+
+        def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
+            strange = next((photo.path for photo in photos if not _is_text(str(photo.path))), None)
+            if strange is not None and path.suffix == ".parquet":
+                raise StoreError(
+                    f"{os.fsencode(strange)!r} is not UTF-8, and Parquet holds no other names: export as csv"
+                )
+            write(map(_record, photos, identities))
+
+        yield put
 
 
 @contextmanager
@@ -81,24 +87,6 @@ def _geojson_writer(path: Path) -> Iterator[Put]:
 
         yield put
         file.write("\n]}\n")
-
-
-@contextmanager
-def _parquet_writer(path: Path) -> Iterator[Put]:
-    pyarrow, parquet = arrow("writing Parquet")
-    kinds = {name: pyarrow.float64() if name in _DEGREES else pyarrow.string() for name in COLUMNS}
-    schema = pyarrow.schema(list(kinds.items()))
-    with parquet.ParquetWriter(path, schema) as file:
-
-        def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
-            records = list(map(_record, photos, identities))
-            for path in (record["path"] for record in records if not _is_text(record["path"])):
-                raise StoreError(
-                    f"{os.fsencode(path)!r} is not UTF-8, and Parquet holds no other names: export as csv"
-                )
-            file.write_table(pyarrow.Table.from_pylist(records, schema=schema))
-
-        yield put
 
 
 def _record(photo: Photo, identity: str) -> dict[str, Any]:
@@ -141,7 +129,7 @@ def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
         StoreError: If the table cannot be read, or a line of it makes no sense; it is named.
         MissingExtraError: If it is Parquet, and what reads it is not installed.
     """
-    readers = {".csv": _csv_records, ".parquet": rows, ".geojson": _geojson_records}
+    readers = {".csv": _csv_records, ".parquet": _parquet_records, ".geojson": _geojson_records}
     done = 0
     try:
         for record in readers[path.suffix.lower()](path):
@@ -149,21 +137,26 @@ def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
             done += 1
     except OSError as error:
         raise StoreError(f"{path} cannot be read ({error}): check the name and permissions") from error
-    except (ValueError, KeyError, TypeError, AttributeError, PositionError, csv.Error) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, PositionError, CsvError) as error:
         raise StoreError(f"{path}, photo {done + 1}: {error}; correct it, or leave it out") from error
 
 
 def _csv_records(path: Path) -> Iterator[Record]:
-    with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
-        table = csv.DictReader(file, strict=True, restval="")
-        names = [name.strip().lower() for name in table.fieldnames or []]
-        if names.count("path") != 1:
-            raise ValueError(f"it needs one column 'path', but has {', '.join(names) or 'none'}")
-        table.fieldnames = names
-        for record in table:
-            if None in record:
-                raise ValueError("it has more fields than the first line (put names with commas in quotes)")
-            yield record
+    for _, record in read_csv(path, _header, errors="surrogateescape"):
+        if None in record:
+            raise ValueError("it has more fields than the first line (put names with commas in quotes)")
+        yield record
+
+
+def _parquet_records(path: Path) -> Iterator[Record]:
+    return (record for _, record in read_parquet(path))
+
+
+def _header(names: list[str]) -> list[str]:
+    header = [name.strip().lower() for name in names]
+    if header.count("path") != 1:
+        raise ValueError(f"it needs one column 'path', but has {', '.join(header) or 'none'}")
+    return header
 
 
 def _geojson_records(path: Path) -> Iterable[Record]:
