@@ -85,7 +85,7 @@ class AtName(NamedTuple):
 
 
 def split_at_name(name: str) -> AtName | None:
-    """The fields of an `@` name, or None for any other name; two microseconds, since sets have millions of names.
+    """The fields of an `@` name, or None for any other name; four microseconds, since sets have millions of names.
 
     Between `@` stand easting, northing, zone, letter, lat, lon, panoid, tile, heading, pitch, roll, height,
     timestamp and note, then a suffix. Only easting and northing must be there.

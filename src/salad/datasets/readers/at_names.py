@@ -12,7 +12,6 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import re
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +21,7 @@ from salad.datasets.coordinates import Coordinates, lat_lon_of, zone_number
 from salad.datasets.folders import names_below, sides_in
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
-
-_NUMBER = re.compile(
-    r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?"
-)  # float() would take 1e3, nan and digits of any script
-_SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
-_EAST, _NORTH, _ZONE, _LETTER, _LAT, _LON, _PANOID, _HEADING = 0, 1, 2, 3, 4, 5, 6, 8
-_FIELDS = 15
+from salad.images.metadata import split_at_name
 
 
 def looked_for(protocol: Protocol) -> list[str]:
@@ -68,12 +61,12 @@ def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
     zones = np.zeros(len(names), dtype=np.int64)
     panoramas: list[str] = []
     for row, name in enumerate(names):
-        fields = fields_of(name)
-        for column, place in enumerate((_EAST, _NORTH, _LAT, _LON, _HEADING)):
-            if _NUMBER.fullmatch(fields[place]):
-                numbers[row, column] = float(fields[place])
-        zones[row] = zone_number(fields[_ZONE] + fields[_LETTER])
-        panoramas.append(fields[_PANOID])
+        fields = split_at_name(name)
+        if fields is None:
+            continue  # without a position, which is told of below
+        numbers[row] = fields.easting, fields.northing, fields.lat, fields.lon, fields.heading
+        zones[row] = zone_number(fields.zone + fields.letter)
+        panoramas.append(fields.panoid)
     metres, degrees = numbers[:, :2].copy(), numbers[:, 2:4]
     lost = np.flatnonzero(np.isnan(metres).any(axis=1))
     if lost.size:
@@ -87,13 +80,6 @@ def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
     lat_lon[by_degrees] = degrees[by_degrees]
     photos = PhotoList(folder, names, where=lat_lon, headings=numbers[:, 4] % 360)
     return photos, Coordinates(metres, zones, lat_lon), tuple(panoramas)
-
-
-def fields_of(name: str) -> list[str]:
-    """The fields of a file's name, empty ones where it has none; of a path only the last part is read."""
-    fields = _SUFFIX.sub("", name.rpartition("/")[2]).split("@")
-    given = fields[1:] if len(fields) > 2 and not fields[0] else []
-    return given + [""] * (_FIELDS - len(given))
 
 
 def _folders(root: Path, protocol: Protocol) -> tuple[Path, Path] | None:
