@@ -44,14 +44,20 @@ def write_demo_page(result: DemoResult, model: Describes | None = None) -> Path:
 
 def draw_demo_page(result: DemoResult, model: Describes | None = None) -> str:
     """The page as text; `model` as for `write_demo_page`."""
+    # The strips come first: they open the photos, and only then is it known what the dustbin takes of them.
     thumbnails = Thumbnails(model, clusters=True)
     strips = [_strip(number, one, thumbnails) for number, one in enumerate(result.judged, 1)]
+    kinds = {"": ("all", result.queries)} | {name: (name, n) for name, n in result.conditions.items()}
+    chips = [
+        Chip(name, label, count, {v: result.count(v, condition=name or None) for v in VERDICTS})
+        for name, (label, count) in kinds.items()
+    ]
     return render(
         "demo.html.j2",
         result=result,
         within_m=WITHIN_M,
         town_map=town_map(result),
-        chips=_chips(result),
+        chips=chips,
         verdicts={verdict: result.count(verdict) for verdict in VERDICTS},
         dustbin=thumbnails.dustbin,
         strips=strips,
@@ -67,41 +73,16 @@ class Chip(NamedTuple):
     verdicts: dict[str, int]
 
 
-def _chips(result: DemoResult) -> list[Chip]:
-    kinds = [("", "all", result.queries), *((name, name, count) for name, count in result.conditions.items())]
-    return [
-        Chip(name, label, count, {v: result.count(v, condition=name or None) for v in VERDICTS})
-        for name, label, count in kinds
-    ]
-
-
-class ReferenceMark(NamedTuple):
-    """Where a reference stands, in units, and to where it looks from there, where that is known."""
-
-    x: float
-    y: float
-    looks: tuple[float, float] | None
-
-
 class FoundMark(NamedTuple):
-    """Where a query was found, in units, and how sure that is."""
+    """Where a query was found, and the radius of that, in units of the map."""
 
     x: float
     y: float
     radius: float
 
 
-@dataclass(frozen=True, slots=True)
-class TownMark:
-    """A query on the map.
-
-    Attributes:
-        mark: Its outcome and its words.
-        x: Of the true position, in units from the left.
-        y: Of the true position, in units from the top.
-        found: Where it was thought to be; None where that is unknown.
-        data: Values that the page's script filters by.
-    """
+class TownMark(NamedTuple):
+    """A query: its words, its true place in units of the map, where it was found if anywhere, data for the script."""
 
     mark: QueryMark
     x: float
@@ -118,50 +99,53 @@ class TownMap:
         frame: Where things fall on it.
         streets: Their middle lines.
         houses: Their outlines.
-        references: The drive by day.
+        references: Where each stands, and where it looks from there, if that is known; in units.
         queries: The later photos.
     """
 
     frame: Frame
     streets: Sequence[str]
     houses: Sequence[str]
-    references: Sequence[ReferenceMark]
+    references: Sequence[tuple[float, float, tuple[float, float] | None]]
     queries: Sequence[TownMark]
-    tints: int = TINTS
+    tints: int = TINTS  # in turn, so that neighbours are told apart
 
 
 def town_map(result: DemoResult) -> TownMap:
     """The whole map; each query on it leads to its strip."""
     town = result.town
+    # Wrong answers count too: what is found outside the town must still be on its map.
     found = (one.answer.place.where for one in result.judged if one.answer.place)
     corners = [*chain.from_iterable(town.streets + town.blocks), *town.truth.values(), *found]
     frame = Frame.around([_degrees(point) for point in corners])
-    references = []
+    references: list[tuple[float, float, tuple[float, float] | None]] = []
     for path in town.references:
         photo = read_photo(path)
         if photo.where is not None:
             looks = None
             if photo.heading is not None:
                 turn = math.radians(photo.heading)
+                # A tick of 15 units; north is up, and an SVG's y grows downwards.
                 looks = (15 * math.sin(turn), -15 * math.cos(turn))
-            references.append(ReferenceMark(*frame.at(_degrees(photo.where)), looks))
+            references.append((*frame.at(_degrees(photo.where)), looks))
+    queries = []
+    for number, one in enumerate(result.judged, 1):
+        said = "unknown" if one.error_m is None else f"{one.verdict}, {told_metres(one.error_m)} off"
+        place = one.answer.place
+        queries.append(
+            TownMark(
+                QueryMark(number, one.verdict, f"{one.answer.query.name}, {one.condition}: {said}"),
+                *frame.at(_degrees(one.truth)),
+                FoundMark(*frame.at(_degrees(place.where)), place.radius_m * frame.scale) if place else None,
+                _data(number, one),
+            )
+        )
     return TownMap(
         frame,
         streets=[frame.path(map(_degrees, street)) for street in town.streets],
         houses=[frame.path(map(_degrees, block)) + "Z" for block in town.blocks],
         references=references,
-        queries=[_town_mark(frame, number, one) for number, one in enumerate(result.judged, 1)],
-    )
-
-
-def _town_mark(frame: Frame, number: int, one: Judged) -> TownMark:
-    said = "unknown" if one.error_m is None else f"{one.verdict}, {told_metres(one.error_m)} off"
-    place = one.answer.place
-    return TownMark(
-        QueryMark(number, one.verdict, f"{one.answer.query.name}, {one.condition}: {said}"),
-        *frame.at(_degrees(one.truth)),
-        found=FoundMark(*frame.at(_degrees(place.where)), place.radius_m * frame.scale) if place else None,
-        data=_data(number, one),
+        queries=queries,
     )
 
 
@@ -186,6 +170,7 @@ def _strip(number: int, one: Judged, thumbnails: Thumbnails) -> Strip:
         ),
         *(_reference(one, match, thumbnails) for match in one.answer.matches[:BEST]),
     ]
+    # An index without references still finds nothing: the strip says so where the photos would stand.
     if len(figures) == 1:
         figures.append(Figure("reference", None, "no references"))
     place = one.answer.place
@@ -210,6 +195,7 @@ def _strip(number: int, one: Judged, thumbnails: Thumbnails) -> Strip:
 
 def _reference(one: Judged, match: Match, thumbnails: Thumbnails) -> Figure:
     off, name = one.off_by(match), match.photo.path.name
+    # A reference is judged as the answer is: right where it stands within the same metres of the truth.
     kind = "plain" if off is None else "right" if off <= WITHIN_M else "wrong"
     away = "position unknown" if off is None else f"{told_metres(off)} away"
     score = Words(f"{match.score:.2f}", "score", "how alike; 1 is the same picture")

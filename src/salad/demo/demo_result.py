@@ -45,6 +45,7 @@ class Judged:
     @property
     def verdict(self) -> Verdict:
         """Right within `WITHIN_M`, wrong beyond it, or unknown."""
+        # Unknown is no mistake: a system that says so can ask somebody.
         error = self.error_m
         return "unknown" if error is None else "right" if error <= WITHIN_M else "wrong"
 
@@ -91,11 +92,6 @@ class DemoResult:
         )
 
     @property
-    def answered(self) -> int:
-        """How many queries were given a place, right or wrong."""
-        return self.queries - self.count("unknown")
-
-    @property
     def right_share(self) -> float:
         """Right answers among all queries, unknown ones included, 0 to 1; 0 where nothing was asked."""
         return self.count("right") / self.queries if self.queries else 0.0
@@ -107,6 +103,7 @@ class DemoResult:
 
     def median_error(self, condition: str | None) -> float | None:
         """The same under one condition."""
+        # What is unknown has no error: the median is of the answers that were given.
         errors = [
             one.error_m
             for one in self.judged

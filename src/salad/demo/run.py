@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from salad.models.describer import Describes
 
 
-MODEL = "salad-lite"
+MODEL = "salad-lite"  # it comes with the package: no download
 
 Say = Callable[[str], None]
 Progress = Callable[[int, int], None]
@@ -59,12 +59,20 @@ def run_demo(
         WeightsError: If the model's weights are missing.
     """
     home = Path(to)
-    model = model or _shipped()
+    if model is None:
+        from salad.models.model_folder import load  # late: what is given needs no weights
+
+        model = load(MODEL)
     say(f"Drawing a town: {references} photos by day, {queries} on later visits")
     town = draw_town(home / "town", seed=seed, references=references, queries=queries, progress=progress)
     say(f"Describing and indexing {references} photos with {model.name}")
-    start = time.perf_counter()
-    with _empty_index(home / "town.index", model) as index:
+    start = time.perf_counter()  # only now: drawing the town is no part of what the model takes
+    # The index that a demo before left is made anew; a folder that is no index of ours stops `create` instead.
+    folder = home / "town.index"
+    with suppress(StoreError):
+        Index.open(folder).close()
+        shutil.rmtree(folder, ignore_errors=True)
+    with Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name) as index:
         index_photos(town.references, index, model, progress=progress)
         say(f"Locating {queries} photos")
         answers = list(locate_many(town.queries, index=index, model=model))
@@ -77,7 +85,7 @@ def run_demo(
         seconds=time.perf_counter() - start,
         seed=seed,
         page=home / "town.html",
-        index=home / "town.index",
+        index=folder,
     )
     say("Drawing the page")
     write_demo_page(result, model)
@@ -90,17 +98,3 @@ def judge(answers: list[Answer], town: Town) -> tuple[Judged, ...]:
         Judged(answer, town.truth[answer.query.name], town.conditions[answer.query.name])
         for answer in answers
     )
-
-
-def _shipped() -> Describes:
-    from salad.models.model_folder import load  # torch comes with it
-
-    return load(MODEL)
-
-
-def _empty_index(folder: Path, model: Describes) -> Index:
-    """An empty index in place of the one a demo before left; what is no index of ours is not removed."""
-    with suppress(StoreError):
-        Index.open(folder).close()
-        shutil.rmtree(folder, ignore_errors=True)
-    return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)

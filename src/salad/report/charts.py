@@ -123,6 +123,7 @@ def recall_chart(result: Result) -> Chart:
     """Recall over k, with the interval of every k that is reported."""
     counted = [one for one in result.per_query if result.counts(one)]
     deepest = max(result.recall)
+    # What was not found at all is found at no k.
     ranks = np.array([one.first_right or math.inf for one in counted])
     # Every k from 1; of very many, as many as can be seen.
     some = sorted({round(k) for k in np.linspace(1, deepest, min(deepest, POINTS))})
@@ -159,6 +160,7 @@ def metres_chart(result: Result) -> Chart | None:
     apart = sorted(metres for metres in told if metres is not None and math.isfinite(metres))
     reach = max([*known.within, *apart, 10])
     high = min(10.0 ** math.ceil(math.log10(reach)), METRES[1])
+    # Below a metre nobody knows positions so well.
     low = METRES[0]
     line = [(low, 100 * float(np.searchsorted(apart, low, "right")) / known.known)]
     for number, far in enumerate(apart, 1):

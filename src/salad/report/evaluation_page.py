@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from salad.errors import BenchmarkError
 from salad.evaluation.result import QueryResult, Result
 from salad.report.charts import charts
-from salad.report.map import MAPS, drive, position, region_map, regions
+from salad.report.map import MAPS, Drive, RegionMap, position, regions
 from salad.report.mistakes import MistakeStrips, counts, sections
 from salad.report.page import render, several, write_page
 from salad.report.strips import Thumbnails
@@ -56,27 +56,27 @@ def draw_report(result: Result, page: Path, model: Describes | None = None) -> t
     shown = sections(result)
     linked = {number for section in shown for number in section.numbers}
 
+    # An evaluation may know the places of none, all, or some of its queries.
     places = {n: where for n, one in enumerate(result.per_query) if (where := position(one.where))}
     unplaced = [number for number in range(len(result.per_query)) if number not in places]
     found = regions(places)
-    maps = [region_map(result, {n: places[n] for n in some}, linked) for some in found[:MAPS]]
+    maps = [RegionMap.of(result, {n: places[n] for n in some}, linked) for some in found[:MAPS]]
     marked = {*unplaced, *(n for some in found[:MAPS] for n in some)}
 
     thumbnails = Thumbnails(model)
     strips = MistakeStrips(result, page, thumbnails)
     mistakes = [(one, [strips.strip(n, marked=n in marked) for n in one.numbers]) for one in shown]
-    missing = _missing(thumbnails)  # only now: the strips have opened the photos
+    missing = thumbnails.missing_told  # only now: the strips have opened the photos
     text = render(
         "evaluation.html.j2",
         result=result,
-        notes=_notes(result, missing),
-        drawn_again=_drawn_again(result),
-        groups=_groups(result),
+        notes=notes(result, missing),
+        groups=groups(result),
         listed=LISTED,
         tallies=counts(result.per_query),
         maps=maps,
         not_drawn=[len(some) for some in found[MAPS:]],
-        unplaced=drive(result, unplaced, linked) if unplaced else None,
+        unplaced=Drive.of(result, unplaced, linked) if unplaced else None,
         charts=charts(result),
         dustbin=thumbnails.dustbin,
         mistakes=mistakes,
@@ -84,17 +84,7 @@ def draw_report(result: Result, page: Path, model: Describes | None = None) -> t
     return text, missing
 
 
-def _missing(thumbnails: Thumbnails) -> tuple[str, ...]:
-    if not thumbnails.missing:
-        return ()
-    number = len(thumbnails.missing)
-    return (
-        f"{number} of {several(number + thumbnails.opened, 'photo')} to show cannot be opened where the result "
-        f"says, the first {thumbnails.missing[0]}: they were moved, or lie on another machine.",
-    )
-
-
-def _notes(result: Result, missing: tuple[str, ...]) -> list[str]:
+def notes(result: Result, missing: tuple[str, ...]) -> list[str]:
     """Sentences a reader of the figures should see, and the photos that are in both sides."""
     notes = [*result.notes, *missing]
     if result.leaks is not None:
@@ -108,24 +98,7 @@ def _notes(result: Result, missing: tuple[str, ...]) -> list[str]:
     return notes
 
 
-def _drawn_again(result: Result) -> str:
-    """How the intervals were made, in a sentence; empty where there are none."""
-    drawn = result.drawn
-    if not drawn:
-        return ""
-    together = {
-        "query": "each query by itself",
-        "group": "groups of queries together",
-        "block": "stretches of the drive together",
-    }.get(str(drawn.get("by")), "queries")
-    length = f" of {drawn.get('length')} frames" if drawn.get("by") == "block" else ""
-    return (
-        f"Queries were drawn again {drawn.get('times')} times, {together}: "
-        f"{drawn.get('units')} units{length}, seed {drawn.get('seed')}."
-    )
-
-
-def _groups(result: Result) -> list[tuple[str, int, float]]:
+def groups(result: Result) -> list[tuple[str, int, float]]:
     """Each group with its queries and R@1 in percent, the worst first; nothing where fewer than two are known."""
     members: dict[str, list[QueryResult]] = {}
     for one in result.per_query:

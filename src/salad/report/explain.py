@@ -57,6 +57,7 @@ def heat(share: Share) -> NDArray[np.float32]:
 def dustbin_layer(share: Share) -> Image.Image:
     """What the dustbin took, as RGBA with one pixel a token: clear where a token counts, ember where not."""
     heats = heat(share).astype(np.float64)
+    # Alpha rises with the heat too, so that what counts is seen as it is.
     colours = np.array(EMBER, dtype=np.float64)
     pixels = np.empty((*heats.shape, 4))
     for channel in range(3):
@@ -84,6 +85,7 @@ def cluster_colour(number: int) -> tuple[int, int, int]:
 
 def laid_over(photo: Image.Image, layer: Image.Image) -> Image.Image:
     """The photo, RGB, with a layer stretched over the whole of it, each token a block with sharp edges."""
+    # Nearest, not smooth: a token is a block of the photo, and its edges say where it ends.
     stretched = layer.resize(photo.size, Image.Resampling.NEAREST)
     return Image.alpha_composite(photo.convert("RGBA"), stretched).convert("RGB")
 
@@ -120,7 +122,13 @@ def match_strip(
     """
     if height < 16:
         raise ModelError(f"a strip {height} pixels high shows nothing: give a height of 16 or more")
-    pictures = [_to_height(picture, height) for picture in (query, *references)]
+    pictures = [
+        picture.convert("RGB").resize(
+            (max(1, round(picture.width * height / picture.height)), height), Image.Resampling.LANCZOS
+        )
+        for picture in (query, *references)
+    ]
+    frames = {True: RIGHT, False: WRONG, None: PLAIN}
     gap, edge, line = max(4, height // 30), max(2, height // 60), max(12, height // 9)
     gaps = [0, *(4 * gap if n == 0 else gap for n in range(len(references)))]
     width = sum(picture.width for picture in pictures) + sum(gaps) + 2 * gap
@@ -131,10 +139,10 @@ def match_strip(
         at += before
         strip.paste(picture, (at, gap))
         if number:
-            colour = _frame(right[number - 1] if number <= len(right) else None)
+            colour = frames[right[number - 1] if number <= len(right) else None]
             draw.rectangle((at, gap, at + picture.width - 1, gap + height - 1), outline=colour, width=edge)
         if number < len(captions):
-            _write(draw, captions[number], (at, height + 2 * gap), size=0.72 * line, width=picture.width)
+            write_line(draw, captions[number], (at, height + 2 * gap), size=0.72 * line, width=picture.width)
         at += picture.width
     return strip
 
@@ -149,16 +157,7 @@ def data_uri(image: Image.Image, *, quality: int = 80) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
-def _to_height(picture: Image.Image, height: int) -> Image.Image:
-    width = max(1, round(picture.width * height / picture.height))
-    return picture.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)
-
-
-def _frame(right: bool | None) -> tuple[int, int, int]:
-    return PLAIN if right is None else RIGHT if right else WRONG
-
-
-def _write(draw: ImageDraw.ImageDraw, text: str, at: tuple[int, int], *, size: float, width: int) -> None:
+def write_line(draw: ImageDraw.ImageDraw, text: str, at: tuple[int, int], *, size: float, width: int) -> None:
     """One line of text, cut to `width` pixels."""
     font = ImageFont.load_default(size)
     line = " ".join(text.split())

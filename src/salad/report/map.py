@@ -93,6 +93,14 @@ class QueryMark:
     said: str
     linked: bool = True
 
+    @classmethod
+    def of(cls, one: QueryResult, number: int, *, linked: bool) -> QueryMark:
+        """The mark of an evaluation's query, by its number from 0."""
+        kind = outcome(one)
+        away = f", {told_metres(one.metres)} off" if one.metres is not None else ""
+        group = f", {one.group}" if one.group is not None else ""
+        return cls(number + 1, kind, f"{one.query}: {kind}{away}{group}", linked)
+
 
 class Shapes(NamedTuple):
     """Many shapes of one kind, as the data of one SVG path."""
@@ -122,6 +130,55 @@ class RegionMap:
     crowds: Sequence[Shapes]
     marks: Sequence[tuple[QueryMark, float, float]]
 
+    @classmethod
+    def of(cls, result: Result, places: Mapping[int, Degrees], linked: Collection[int]) -> RegionMap:
+        """The map of some queries.
+
+        Args:
+            result: What to draw.
+            places: Where each query is, by its number from 0.
+            linked: Numbers of the queries that have a strip of photos.
+        """
+        frame = Frame.around(list(places.values()))
+        known = (where for one in result.known.values() if (where := position(one.where)))
+        # Dots that cannot be told apart are drawn once: drives have many references in one place.
+        points = {(round(x, 1), round(y, 1)) for x, y in map(frame.at, known)}
+        seen = sorted((x, y) for x, y in points if 0 <= x <= WIDE and 0 <= y <= frame.height)
+        crowds, marks = [], []
+        for kind in OUTCOMES:
+            some = [number for number in places if outcome(result.per_query[number]) == kind]
+            crowd = [number for number in some if number not in linked] if len(places) > SINGLE else []
+            if crowd:
+                crowds.append(Shapes(kind, _dots(frame.at(places[number]) for number in crowd)))
+            for number in sorted(set(some) - set(crowd)):
+                mark = QueryMark.of(result.per_query[number], number, linked=number in linked)
+                marks.append((mark, *frame.at(places[number])))
+        return cls(frame, len(places), _dots(seen), ways_to_mistakes(frame, result, places), crowds, marks)
+
+
+def ways_to_mistakes(frame: Frame, result: Result, places: Mapping[int, Degrees]) -> list[Shapes]:
+    """From each query that was answered wrongly to where it was thought to be; many are drawn faintly."""
+    ways: dict[Outcome, list[str]] = {}
+    for number, here in places.items():
+        one = result.per_query[number]
+        there = position(result.known[one.matches[0]].where) if one.matches else None
+        if there is not None and not one.hit(1):
+            (x, y), (to_x, to_y) = frame.at(here), frame.at(there)
+            # Cut where it has long left the map: a browser draws every dash of a line to the antipodes.
+            cut = min(1.0, 2 * WIDE / max(math.hypot(to_x - x, to_y - y), 1.0))
+            line = f"M{x:.1f} {y:.1f}l{(to_x - x) * cut:.1f} {(to_y - y) * cut:.1f}"
+            ways.setdefault(outcome(one), []).append(line)
+    return [
+        Shapes(kind, "".join(ways[kind]), min(0.6, max(0.1, 25 / len(ways[kind]))))
+        for kind in OUTCOMES
+        if kind in ways
+    ]
+
+
+def _dots(points: Iterable[tuple[float, float]]) -> str:
+    """Lines without length, whose round ends are discs: the shortest way to write many."""
+    return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points)
+
 
 def position(where: Degrees | None) -> Degrees | None:
     """A position that can be drawn: what is not finite, which a hand-made file may hold, is none."""
@@ -145,64 +202,6 @@ def regions(places: Mapping[int, Degrees]) -> list[list[int]]:
                 reached.append(cell)
         found.append(sorted(numbers))
     return sorted(found, key=len, reverse=True)
-
-
-def region_map(result: Result, places: Mapping[int, Degrees], linked: Collection[int]) -> RegionMap:
-    """The map of some queries.
-
-    Args:
-        result: What to draw.
-        places: Where each query is, by its number from 0.
-        linked: Numbers of the queries that have a strip of photos.
-    """
-    frame = Frame.around(list(places.values()))
-    known = (where for one in result.known.values() if (where := position(one.where)))
-    # Dots that cannot be told apart are drawn once: drives have many references in one place.
-    points = {(round(x, 1), round(y, 1)) for x, y in map(frame.at, known)}
-    seen = sorted((x, y) for x, y in points if 0 <= x <= WIDE and 0 <= y <= frame.height)
-    crowds, marks = [], []
-    for kind in OUTCOMES:
-        some = [number for number in places if outcome(result.per_query[number]) == kind]
-        crowd = [number for number in some if number not in linked] if len(places) > SINGLE else []
-        if crowd:
-            crowds.append(Shapes(kind, _dots(frame.at(places[number]) for number in crowd)))
-        for number in sorted(set(some) - set(crowd)):
-            mark = mark_of(result.per_query[number], number, linked=number in linked)
-            marks.append((mark, *frame.at(places[number])))
-    return RegionMap(frame, len(places), _dots(seen), _ways(frame, result, places), crowds, marks)
-
-
-def _ways(frame: Frame, result: Result, places: Mapping[int, Degrees]) -> list[Shapes]:
-    """From each query that was answered wrongly to where it was thought to be; many are drawn faintly."""
-    ways: dict[Outcome, list[str]] = {}
-    for number, here in places.items():
-        one = result.per_query[number]
-        there = position(result.known[one.matches[0]].where) if one.matches else None
-        if there is not None and not one.hit(1):
-            (x, y), (to_x, to_y) = frame.at(here), frame.at(there)
-            # Cut off the map: a dashed line to the antipodes has millions of dashes.
-            cut = min(1.0, 2 * WIDE / max(math.hypot(to_x - x, to_y - y), 1.0))
-            line = f"M{x:.1f} {y:.1f}l{(to_x - x) * cut:.1f} {(to_y - y) * cut:.1f}"
-            ways.setdefault(outcome(one), []).append(line)
-    return [
-        Shapes(kind, "".join(ways[kind]), min(0.6, max(0.1, 25 / len(ways[kind]))))
-        for kind in OUTCOMES
-        if kind in ways
-    ]
-
-
-def _dots(points: Iterable[tuple[float, float]]) -> str:
-    """Lines without length, whose round ends are discs: the shortest way to write many."""
-    return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points)
-
-
-def mark_of(one: QueryResult, number: int, *, linked: bool) -> QueryMark:
-    """A query's mark, with what became of it in words."""
-    kind = outcome(one)
-    said = f"{one.query}: {kind}" + (f", {told_metres(one.metres)} off" if one.metres is not None else "")
-    if one.group is not None:
-        said += f", {one.group}"
-    return QueryMark(number + 1, kind, said, linked)
 
 
 NAMES = 150.0  # units that the rows' names take at the left of the drive
@@ -252,34 +251,34 @@ class Drive:
         """In units."""
         return ROW * len(self.rows) + 12
 
+    @classmethod
+    def of(cls, result: Result, numbers: Sequence[int], linked: Collection[int]) -> Drive:
+        """The drive of some queries.
 
-def drive(result: Result, numbers: Sequence[int], linked: Collection[int]) -> Drive:
-    """The drive of some queries.
-
-    Args:
-        result: What to draw.
-        numbers: Of the queries, from 0.
-        linked: Numbers of the queries that have a strip of photos.
-    """
-    rows, single = list(_drive_rows(result, numbers)), len(numbers) <= SINGLE
-    wide = min(max((WIDE - NAMES) / max(len(cells) for _, cells in rows), CELL_WIDTH[0]), CELL_WIDTH[1])
-    drawn = []
-    for place, (name, cells) in enumerate(rows):
-        middle = ROW * (place + 0.5) + 6
-        marks, crowds = [], dict.fromkeys(OUTCOMES, "")
-        for column, number in enumerate(cells):
-            one = result.per_query[number]
-            shape = _cell(outcome(one), NAMES + wide * column, middle, wide)
-            if single or number in linked:
-                marks.append((mark_of(one, number, linked=number in linked), shape))
-            else:
-                crowds[outcome(one)] += shape
-        shapes = [Shapes(kind, path) for kind, path in crowds.items() if path]
-        drawn.append(DriveRow(name, middle, wide * len(cells), marks, shapes))
-    return Drive(drawn, len(numbers))
+        Args:
+            result: What to draw.
+            numbers: Of the queries, from 0.
+            linked: Numbers of the queries that have a strip of photos.
+        """
+        rows, single = list(drive_rows(result, numbers)), len(numbers) <= SINGLE
+        wide = min(max((WIDE - NAMES) / max(len(cells) for _, cells in rows), CELL_WIDTH[0]), CELL_WIDTH[1])
+        drawn = []
+        for place, (name, cells) in enumerate(rows):
+            middle = ROW * (place + 0.5) + 6
+            marks, crowds = [], dict.fromkeys(OUTCOMES, "")
+            for column, number in enumerate(cells):
+                one = result.per_query[number]
+                shape = cell_path(outcome(one), NAMES + wide * column, middle, wide)
+                if single or number in linked:
+                    marks.append((QueryMark.of(one, number, linked=number in linked), shape))
+                else:
+                    crowds[outcome(one)] += shape
+            shapes = [Shapes(kind, path) for kind, path in crowds.items() if path]
+            drawn.append(DriveRow(name, middle, wide * len(cells), marks, shapes))
+        return cls(drawn, len(numbers))
 
 
-def _drive_rows(result: Result, numbers: Sequence[int]) -> Iterable[tuple[str, Sequence[int]]]:
+def drive_rows(result: Result, numbers: Sequence[int]) -> Iterable[tuple[str, Sequence[int]]]:
     """Queries in rows of one length as far as they go, each with a name."""
     results = result.per_query
     frames = along([Path(results[number].query) for number in numbers])
@@ -296,7 +295,7 @@ def _drive_rows(result: Result, numbers: Sequence[int]) -> Iterable[tuple[str, S
             yield name if len(name) <= LETTERS else f"…{name[1 - LETTERS :]}", some[start : start + row]
 
 
-def _cell(kind: Outcome, left: float, middle: float, wide: float) -> str:
+def cell_path(kind: Outcome, left: float, middle: float, wide: float) -> str:
     """Low where right, high where wrong, hollow where no reference is: colour alone tells nothing to some."""
     high, gap = CELL_HEIGHT[kind], min(1.6, wide / 4)
     inner = wide - gap

@@ -53,14 +53,24 @@ def worst(results: Sequence[QueryResult], *, besides: Sequence[int] = (), most: 
         most: How many.
     """
     wrong = {number for number, one in enumerate(results) if outcome(one) == "wrong"} - set(besides)
-    return sorted(wrong, key=lambda number: (_badness(results[number]), number))[:most]
+    by_badness = []
+    for number in wrong:
+        one, late = results[number], results[number].first_right or 0
+        # Known metres come before unknown, never found before found late, sure before unsure.
+        far = 1.0 if one.metres is None else -one.metres
+        by_badness.append((far, late > 0, -late, -one.scores[0] if one.scores else 0.0, number))
+    return [number for *_, number in sorted(by_badness)[:most]]
 
 
-def _badness(one: QueryResult) -> tuple[float, ...]:
-    """Sorts the worst first: known metres before unknown, never found before found late, sure before unsure."""
-    far = 1.0 if one.metres is None else -one.metres
-    late = float(one.first_right or 0)
-    return far, float(late > 0), -late, -one.scores[0] if one.scores else 0.0
+def told(one: QueryResult) -> str:
+    """What became of a query, in a few words."""
+    if not one.positives:
+        return "no reference is right"
+    if one.metres is not None:
+        return f"{told_metres(one.metres)} off"
+    if one.first_right is not None:
+        return f"the right one came {ordinal(one.first_right)}"
+    return f"not among {len(one.matches)}" if one.matches else "nothing found"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +149,7 @@ class MistakeStrips:
             figures.append(self._photo("missed right", 0, name, "Reference", Words(f"right: {rank}")))
         else:
             figures.append(Figure("missed", None, "none of the references", caption=(Words("right"),)))
-        return Strip(number + 1, outcome(one), _said(one), one.query, figures, one.group or "", marked=marked)
+        return Strip(number + 1, outcome(one), told(one), one.query, figures, one.group or "", marked=marked)
 
     def _photo(self, kind: str, side: int, name: str, role: str, *words: Words) -> Figure:
         path = Path(self.result.folders[side], name)
@@ -148,17 +158,6 @@ class MistakeStrips:
         if small is None:
             return Figure(kind, None, f"{name} cannot be opened any more", caption=caption)
         return Figure(kind, small, f"{role} {name}", link(path, self.page), caption)
-
-
-def _said(one: QueryResult) -> str:
-    """What became of a query, in a few words."""
-    if not one.positives:
-        return "no reference is right"
-    if one.metres is not None:
-        return f"{told_metres(one.metres)} off"
-    if one.first_right is not None:
-        return f"the right one came {ordinal(one.first_right)}"
-    return f"not among {len(one.matches)}" if one.matches else "nothing found"
 
 
 def link(photo: Path, page: Path) -> str:

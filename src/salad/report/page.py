@@ -30,7 +30,7 @@ def render(template: str, **content: object) -> str:
         The page. Letters that no page can hold (half of a surrogate pair, as names of files that are no text
         have) are question marks in it.
     """
-    text = _environment().get_template(template).render(content, version=__version__)
+    text = environment().get_template(template).render(content, version=__version__)
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
@@ -50,7 +50,8 @@ def write_page(page: Path, text: str) -> None:
 
 
 @cache
-def _environment() -> Environment:
+def environment() -> Environment:
+    """How every template is filled."""
     # Imported late: whoever locates a photo draws no page, and should not wait for a template engine.
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -12,6 +12,7 @@ from PIL import Image
 from salad.errors import PhotoError
 from salad.images.decode import open_rgb
 from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_of
+from salad.report.page import several
 
 if TYPE_CHECKING:
     from salad.models.describer import Describes
@@ -78,13 +79,19 @@ class Thumbnails:
             layers["dustbin"] = data_uri(dustbin_layer(share))
             if self.clusters:
                 layers["clusters"] = data_uri(cluster_layer(share))
+        # Never enlarged: a small photo stays its own size.
         photo.thumbnail((side, side), Image.Resampling.LANCZOS)
         return Thumbnail(data_uri(photo, quality=QUALITY), photo.width, photo.height, layers)
 
     @property
-    def opened(self) -> int:
-        """How many photos could be opened."""
-        return sum(drawn is not None for drawn in self._drawn.values())
+    def missing_told(self) -> tuple[str, ...]:
+        """What to say of the missing ones, if there are any."""
+        if not self.missing:
+            return ()
+        return (
+            f"{len(self.missing)} of {several(len(self._drawn), 'photo')} to show cannot be opened where the result "
+            f"says, the first {self.missing[0]}: they were moved, or lie on another machine.",
+        )
 
     @property
     def dustbin(self) -> float | None:

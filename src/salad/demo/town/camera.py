@@ -38,6 +38,7 @@ class Camera:
         heading, pitch, roll = np.radians([self.heading, self.pitch, self.roll])
         forward = np.array([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
         level = np.array([np.cos(heading), -np.sin(heading), 0.0])
+        # Roll turns the axes about the line of sight, so it comes last.
         below = np.cross(forward, level)
         right = np.cos(roll) * level + np.sin(roll) * below
         return np.stack([right, np.cross(forward, right), forward])
@@ -46,6 +47,7 @@ class Camera:
         """Column, row (pixel edges, so a centre is at .5) and depth in metres of `points` ``[..., 3]``."""
         seen = (np.asarray(points, np.float64) - self.position) @ self.axes().T
         depth = seen[..., 2]
+        # Points beside the camera have no place in the picture; dividing by nothing would only warn of it.
         safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
         column = self.size[0] / 2 + self.focal * seen[..., 0] / safe
         row = self.size[1] / 2 + self.focal * seen[..., 1] / safe
@@ -56,8 +58,10 @@ class Camera:
 
         Rays are as long as they reach one metre forward, so a ray's length to a point is that point's depth.
         """
+        # Dividing by the focal length here makes every later step a sum of products, with no division a pixel.
         scaled = self.axes() / np.array([[self.focal], [self.focal], [1.0]])
         right, down, forward = np.moveaxis(np.asarray(vectors) @ scaled.T, -1, 0)
+        # Pixel centres are whole numbers here, so the middle of the picture is half a pixel before half its size.
         constant = forward - right * (self.size[0] - 1) / 2 - down * (self.size[1] - 1) / 2
         return np.stack([right, down, constant], axis=-1)
 

@@ -20,6 +20,7 @@ class Canvas:
 
     def __init__(self, width: float, height: float, colour: Paint, grain: float = GRAIN) -> None:
         self.width, self.height, self.grain = width, height, grain
+        # Two texels at least, or a texture has no inside to sample.
         shape = max(2, round(height * grain)), max(2, round(width * grain))
         self.rgb: Floats = np.empty((*shape, 3), np.float32)
         self.rgb[:] = colour
@@ -28,6 +29,7 @@ class Canvas:
     def box(self, left: float, low: float, right: float, high: float) -> tuple[slice, slice]:
         """The rows and columns of a rectangle, cut off at the edges."""
         rows, columns = self.kind.shape
+        # Rows count from the top, metres from the ground.
         limits = np.array(
             [rows - high * self.grain, rows - low * self.grain, left * self.grain, right * self.grain]
         )
@@ -68,8 +70,10 @@ class Canvas:
         """Letters that fill a rectangle's height and stay within its width."""
         rows, columns = self.box(left, low, right, high)
         height, width = rows.stop - rows.start, columns.stop - columns.start
+        # Smaller letters would be a smear.
         if height < 4 or width < 8:
             return
+        # Drawn large and shrunk: so letters keep their shape at any size.
         font = ImageFont.load_default(48)
         ink = Image.new("L", (int(font.getlength(text)) + 8, 64), 0)
         ImageDraw.Draw(ink).text((4, 2), text, fill=255, font=font)
@@ -97,6 +101,7 @@ class Canvas:
         rng = np.random.default_rng([*seed, 11])
         relief = MATERIALS[wall](shape, rng) if wall in MATERIALS else np.ones((*shape, 1), np.float32)
         stains = noise(shape, [*seed, 12], 3, 5)
+        # Plaster has no joints, so its stains carry the texture.
         roughness = 0.035 if wall != "plaster" else 0.05
         grain = rng.standard_normal(shape, np.float32) * np.float32(0.015)
         self.rgb[rows, columns] *= relief * (1 + roughness * stains + grain)[..., None]
@@ -122,6 +127,7 @@ def noise(shape: tuple[int, int], seed: Sequence[int], coarsest: int = 4, octave
     rng = np.random.default_rng(list(seed))
     total = np.zeros(shape, np.float32)
     for octave in range(octaves):
+        # Each octave is twice as fine and about half as strong, as in clouds and stains.
         cells = coarsest * 2**octave
         if cells > min(shape):
             break
@@ -134,10 +140,11 @@ def noise(shape: tuple[int, int], seed: Sequence[int], coarsest: int = 4, octave
 def _stretch(values: Floats, length: int, axis: int) -> Floats:
     """Values interpolated smoothly and periodically to `length` along an axis."""
     cells = values.shape[axis]
+    # Indices are taken modulo the lattice, so that the noise repeats without a seam.
     place = np.arange(length, dtype=np.float32) * np.float32(cells / length)
     whole = place.astype(np.int64)
     share = place - whole
-    share = share * share * (3 - 2 * share)
+    share = share * share * (3 - 2 * share)  # smoothstep: no creases at the lattice's lines
     share = share[:, None] if axis == 0 else share
     low, high = np.take(values, whole % cells, axis), np.take(values, (whole + 1) % cells, axis)
     return np.asarray(low + (high - low) * share, np.float32)
@@ -154,6 +161,7 @@ def _blocks(
     wall[(np.arange(shape[0]) % course) == 0] *= joint
     upright = ((np.arange(shape[1])[None] + (row % 2) * (length // 2)) % length) == 0
     wall[np.broadcast_to(upright, shape)] *= joint
+    # A tint of the whole wall's: no two are of one clay.
     tint = np.array([1.0, rng.normal(1, 0.01), rng.normal(1, 0.02)], np.float32)
     return np.asarray(wall[..., None] * tint, np.float32)
 
@@ -161,6 +169,7 @@ def _blocks(
 def _boards(shape: tuple[int, int], rng: np.random.Generator) -> Floats:
     period = int(rng.integers(5, 8))
     ramp = np.linspace(1.05, 0.95, period, dtype=np.float32)
+    # The gap under each board is in its own shade.
     ramp[-1] = 0.68
     wall = ramp[np.arange(shape[0]) % period][:, None, None]
     shades = rng.normal(1, 0.02, shape[0] // period + 1).astype(np.float32)[np.arange(shape[0]) // period]

@@ -19,8 +19,7 @@ class Facade(Canvas):
     Args:
         style: The house's looks.
         lot: Numbers that, with the house's own, decide what is drawn by lot.
-        width: In metres.
-        height: In metres.
+        size: Width and height in metres.
         colour: Of the bare wall.
         grain: Texels a metre.
     """
@@ -29,12 +28,11 @@ class Facade(Canvas):
         self,
         style: Style,
         lot: tuple[int, ...],
-        width: float,
-        height: float,
+        size: tuple[float, float],
         colour: Paint,
         grain: float = GRAIN,
     ) -> None:
-        super().__init__(width, height, colour, grain)
+        super().__init__(*size, colour, grain)
         self.style = style
         self.rng = np.random.default_rng([*style.seed, *lot])
 
@@ -47,6 +45,7 @@ class Facade(Canvas):
         """One window: surround, reveal, glass with what is behind it, frame, sill, and what hangs beside it."""
         style, extras = self.style, self.style.extras
         left, right, high = middle - width / 2, middle + width / 2, low + height
+        # From the back to the front: each layer hides the rest of the one before.
         self.rect(left - 0.11, low - 0.05, right + 0.11, high + 0.12, style.trim)
         if "pediments" in extras and style.wall != "boards":
             self.ledge(left - 0.2, high + 0.2, right + 0.2, high + 0.32, shade=high + 0.12, dark=0.62)
@@ -61,6 +60,7 @@ class Facade(Canvas):
             place = low + edge * (height - 0.13) / up
             self.rect(left + 0.02, place, right - 0.02, place + 0.07, style.frame, 1)
         self.rect(left, high - 0.09, right, high, (58, 56, 54), 1)
+        # The reveal: the glass lies a hand's breadth behind the wall.
         self.tone(left, low, left + 0.05, high, 0.62)
         if "arches" in extras:
             rows, columns = self.box(middle - width / 2 - 0.06, high - 0.32, middle + width / 2 + 0.06, high)
@@ -72,6 +72,7 @@ class Facade(Canvas):
         self.tone(left - 0.14, low - 0.22, right + 0.14, low - 0.13, 0.66)
         if "shutters" in extras:
             self._shutters(left, low, right, high)
+        # Flowers grow on upper floors only: below, people would walk into them.
         if "boxes" in extras and low > 3 and self.rng.random() < 0.7:
             self._flowers(left, low, right)
 
@@ -123,6 +124,7 @@ class Facade(Canvas):
         self.rect(left, 0.12, right, height + 0.45, (40, 38, 36))
         self.rect(left + 0.06, height + 0.06, right - 0.06, height + 0.38, (112, 124, 132), WINDOW + 239)
         self.rect(left + 0.06, 0.14, right - 0.06, height, self.style.accent)
+        # Two panels in each half of the door, each with a shadow and a light edge inside it.
         for side in (left + 0.16, middle + 0.06):
             for low, high in ((0.3, height * 0.42), (height * 0.5, height - 0.15)):
                 self.tone(side, low, side + width / 2 - 0.24, high, 0.74)
@@ -138,6 +140,7 @@ class Facade(Canvas):
         sign = top - 0.62
         wood = np.array(style.accent, np.float64)
         self.rect(0.2, 0, width - 0.2, top, wood)
+        # Panes of about 2.4 m, one of them the door.
         bays = max(2, round(width / 2.4))
         door = int(rng.integers(bays))
         for bay in range(bays):
@@ -161,6 +164,7 @@ class Facade(Canvas):
         self.rect(0.1, sign, width - 0.1, top, np.clip(wood * 1.12, 0, 255))
         self.rect(0.04, top, width - 0.04, top + 0.1, style.trim)
         self.tone(0.1, sign - 0.09, width - 0.1, sign, 0.55)
+        # Dark wood takes light letters, light wood dark ones.
         letters = (246, 236, 208) if sum(style.accent) < 330 else (34, 30, 28)
         self.write(style.shop, 0.5, sign + 0.1, width - 0.5, top - 0.1, letters)
 
@@ -190,6 +194,7 @@ class Facade(Canvas):
     def base(self) -> None:
         """The wall of the ground floor: another material where there is a shop, else a plinth."""
         style = self.style
+        # Two houses in five, and every shop, have a ground floor of another material.
         if sum(style.seed) % 5 < 2 or style.shop:
             top = style.ground - 0.25
             self.rect(0, 0, self.width, top, style.base_colour)
@@ -202,6 +207,7 @@ class Facade(Canvas):
     def timber(self) -> None:
         """Beams along the floors, upright and aslant."""
         style = self.style
+        # Beams are dark: light frames belong to painted windows, not to timber.
         beam = np.array(style.frame if sum(style.frame) < 300 else (74, 52, 38)) * 1.0
         for floor in range(style.storeys):
             low = style.ground + style.storey * floor
@@ -211,6 +217,7 @@ class Facade(Canvas):
             place = number * (self.width - 0.16) / (count - 1)
             self.rect(place, style.ground, place + 0.15, self.height, beam)
         across, up = self.grid()
+        # Braces at 45 degrees, in the lower part of each storey only.
         slope = np.abs(((across + up - style.ground) % (self.width / style.columns)) - 0.2) < 0.08
         self.rgb[slope & (up > style.ground) & ((up - style.ground) % style.storey < 0.85)] = beam
 
@@ -265,9 +272,12 @@ class Facade(Canvas):
         rng, (across, up) = self.rng, self.grid()
         edge = across if rng.random() < 0.5 else self.width - across
         growth = 1.15 - edge / rng.uniform(1.6, 3.2) - up / (self.height * rng.uniform(0.6, 0.95))
+        # The plant thins out with height and with the distance from its edge; noise frays its outline.
         leaves = growth + 0.3 * noise(self.kind.shape, [*self.style.seed, 24], 6, 4) > 0.25
         rows, columns = np.nonzero(leaves & (self.kind == 1))
-        shade = rng.uniform(0.45, 1.35, (self.kind.shape[0] // 3 + 1, self.kind.shape[1] // 4 + 2))
+        shade = rng.uniform(
+            0.45, 1.35, (self.kind.shape[0] // 3 + 1, self.kind.shape[1] // 4 + 2)
+        )  # a leaf is 3 by 4 texels
         leaf = shade[rows // 3, (columns + rows // 3 % 2 * 2) // 4, None]
         self.rgb[rows, columns] = np.array([62, 90, 48]) * leaf
 
@@ -300,11 +310,12 @@ def front_height(style: Style, width: float) -> float:
 
 def paint_front(style: Style, width: float) -> Facade:
     """The wall towards the street."""
-    front = Facade(style, (21,), width, front_height(style, width), style.colour)
+    front = Facade(style, (21,), (width, front_height(style, width)), style.colour)
     front.clad(style.wall, style.seed)
     front.base()
     if "timber" in style.extras and style.wall == "plaster":
         front.timber()
+    # Dirt comes before windows and doors: those are cleaned.
     front.smudge(style.seed)
     if "quoins" in style.extras and style.wall != "boards":
         front.quoins()
@@ -316,6 +327,7 @@ def paint_front(style: Style, width: float) -> Facade:
     if "pipe" in style.extras:
         front.rect(width - 0.2, 0, width - 0.1, style.eaves - 0.3, np.array(style.trim) * 0.55)
         front.tone(width - 0.1, 0, width - 0.04, style.eaves - 0.3, 0.7)
+    # Last, since it cuts holes that paint would fill again.
     front.roof_line()
     return front
 
@@ -325,7 +337,7 @@ def paint_side(style: Style, width: float, number: int) -> Facade:
     gable = style.roof == "eaves" and number in (1, 3)
     height = style.eaves + (width / 2 * style.rise if gable else 0.0)
     # Coarser than a front: nobody stands near it.
-    side = Facade(style, (22, number), width, height, np.array(style.colour) * 0.94, 20.0)
+    side = Facade(style, (22, number), (width, height), np.array(style.colour) * 0.94, 20.0)
     side.clad(style.wall, [*style.seed, number])
     side.smudge([*style.seed, number])
     for floor in range(style.storeys):
@@ -344,7 +356,7 @@ def paint_side(style: Style, width: float, number: int) -> Facade:
 
 def paint_mansard(style: Style, width: float, height: float) -> Facade:
     """The steep roof above the eaves, with its dormer windows."""
-    roof = Facade(style, (23,), width, height, style.tiles)
+    roof = Facade(style, (23,), (width, height), style.tiles)
     roof.clad("brick", [*style.seed, 23])
     for column in range(style.columns):
         middle = (column + 0.5) * width / style.columns

@@ -28,6 +28,7 @@ class Field:
         rows, columns, channels = self.values.shape
         x = np.clip((east - np.float32(self.west)) / np.float32(CELL), 0, columns - 1.001)
         y = np.clip((north - np.float32(self.south)) / np.float32(CELL), 0, rows - 1.001)
+        # Bilinear by hand, in float32: it runs for every pixel of every photo, on four neighbours at once.
         column, row = x.astype(np.int32), y.astype(np.int32)
         x, y = (x - column.astype(np.float32))[:, None], (y - row.astype(np.float32))[:, None]
         flat, corner = self.values.reshape(-1, channels), row * columns + column
@@ -65,6 +66,7 @@ class Ground:
     def of(cls, plan: TownPlan) -> Ground:
         """Survey the town."""
         x, y, west, south = _cells(plan)
+        # Farther from every street than any yard is wide.
         found = np.full((*x.shape, 3), 99.0, np.float32)
         for street in plan.streets:
             for number, (start, stop) in enumerate(pairwise(street.line)):
@@ -80,6 +82,7 @@ class Ground:
                 nearer = away < found[rows, columns, 0]
                 entry = np.stack([away, left, np.minimum(along, street.length - along)], axis=-1)
                 found[rows, columns][nearer] = entry[nearer]
+        # A blurred plan of the houses: corners near walls see less sky.
         high = (heights(plan, ()).values > 0).astype(np.float32)
         for axis in (0, 1):
             high = np.mean([np.roll(high, step, axis) for step in range(-3, 4)], axis=0, dtype=np.float32)
@@ -89,12 +92,15 @@ class Ground:
 
     def colours(self, east: Floats, north: Floats, depth: Floats) -> Floats:
         """Colours ``[N, 3]`` of the ground at points ``[N]``, seen from `depth` metres."""
+        # Contiguous, since each channel is used as an array of its own many times below.
         aside, side, end = np.ascontiguousarray(self.streets.at(east, north).T)
         coarse, fine = self.rough(east, north, 9.0), self.rough(east, north, 75.0)
         rgb = np.empty((len(east), 3), np.float32)
         rgb[:] = (92, 92, 94)
         rgb *= (1 + 0.03 * coarse + 0.07 * fine)[:, None]
+        # Wheels have darkened two tracks on each side of the middle.
         rgb[(np.abs(np.abs(side) - 1.5) < 0.35) & (aside < ROAD)] *= 0.93
+        # Asphalt that was mended; the threshold leaves a few patches a street.
         patch = (self.rough(east, north, 3.1) > 1.5) & (aside < ROAD)
         rgb[patch] *= 0.8
         rgb[aside > ROAD - 0.35] *= 0.82
@@ -104,12 +110,14 @@ class Ground:
 
     def rough(self, east: Floats, north: Floats, scale: float) -> Floats:
         """Noise at points, `scale` texels a metre."""
+        # Masking is modulo 512, the texture's size, for negative places too.
         column = (east * np.float32(scale)).astype(np.int32) & 511
         row = (north * np.float32(scale)).astype(np.int32) & 511
         return np.asarray(self.grain.ravel()[row * 512 + column], np.float32)
 
     def _markings(self, rgb: Floats, side: Floats, aside: Floats, end: Floats, fine: Floats) -> None:
         worn = fine < 1.3
+        # Markings keep clear of crossings: `end` is the distance to the nearer one.
         dash = (np.abs(side) < 0.07) & (end > 13) & (end % 5 < 2.6)
         stripe = (side % 1.05 < 0.52) & (end > 8.6) & (end < 11.6) & (aside < ROAD - 0.3)
         stop = (end > 12.2) & (end < 12.6) & (side > 0.2) & (aside < ROAD - 0.3)
@@ -123,10 +131,12 @@ class Ground:
         rgb[kerb] = (166, 162, 154)
         rgb[kerb & (aside < ROAD + 0.18)] = (188, 186, 180)
         rgb[kerb & (aside < ROAD + 0.04)] = (70, 70, 72)
+        # Joints beyond 26 m are finer than a pixel and would only flicker.
         slabs = kerb & (aside > ROAD + 0.18) & (depth < 26)
         joints = slabs & (((aside - ROAD) % 0.62 < 0.03) | (end % 0.62 < 0.03))
         rgb[joints] *= 0.76
         rgb[kerb] *= (1 + 0.05 * coarse + 0.035 * fine)[kerb, None]
+        # Behind the house fronts the ground is grass.
         yard = aside > FRONT + 1.4
         rgb[yard] = (104, 116, 72)
         rgb[yard] *= (1 + 0.12 * coarse + 0.1 * fine)[yard, None]
@@ -142,6 +152,7 @@ def heights(plan: TownPlan, cars: tuple[Thing, ...], margin: float = 0.0) -> Fie
         east, north = x[rows, columns] - house.corners[0, 0], y[rows, columns] - house.corners[0, 1]
         across, deep = ((east * e[0] + north * e[1]) / (e @ e) for e in (right, back))
         inside = (across > 0) & (across < 1) & (deep > 0) & (deep < 1)
+        # Half a roof's height on average: enough for a shadow's length, and cheap.
         roof = 0.0 if house.style.roof == "flat" else house.style.rise * 4.5 * (0.5 - np.abs(deep - 0.5)) * 2
         high[rows, columns] = np.where(inside, house.style.eaves + roof, high[rows, columns])
     rng = np.random.default_rng([plan.seed, 52])

@@ -119,13 +119,16 @@ class Rays:
 def heavens(rays: Rays, sky: NDArray[np.bool_], light: Light, seed: Sequence[int]) -> Floats:
     """The sky behind everything: gradient, glow of the sun, clouds, hills ``[N, 3]``."""
     east, north, up = rays.east[sky], rays.north[sky], rays.up[sky]
+    # Rays are one metre long forwards, not of length one.
     size = np.sqrt(east**2 + north**2 + up**2)
     rise = np.clip(up / size, 0, 1)
     fade = (np.minimum(rise * 2.1, 1) ** 0.6)[:, None]
     colour = np.array(light.horizon, np.float32) * (1 - fade) + np.array(light.zenith, np.float32) * fade
     glow = np.clip((np.stack([east, north, up], -1) @ towards(light).astype(np.float32)) / size, 0, 1)
+    # A wide glow and a narrow disc about the sun, in its own colour.
     colour += (70 * glow**12 + 90 * glow**90)[:, None] * np.array(light.direct, np.float32)
     texture = noise((256, 256), [*seed, 62], 3, 6)
+    # Clouds lie on a plane overhead: towards the horizon they are seen flatter and closer together.
     tall = np.maximum(up / size, 0.02) + 0.12
     column = ((east / size / tall * 22 + 999).astype(np.int32)) & 255
     row = ((north / size / tall * 22 + 999).astype(np.int32)) & 255
@@ -134,6 +137,7 @@ def heavens(rays: Rays, sky: NDArray[np.bool_], light: Light, seed: Sequence[int
     relief = np.clip(1.0 - 0.07 * dense, 0.75, 1.06)
     colour += (np.array(light.cloud, np.float32) * relief[:, None] - colour) * cover[:, None]
     angle = np.arctan2(east, north)
+    # Sums of sines that fit into the circle, so that the ridge closes in itself.
     hills = 0.055 + 0.022 * np.sin(3 * angle + 1) + 0.012 * np.sin(8 * angle) + 0.006 * np.sin(23 * angle + 2)
     ridge = (rise < hills) & (up > -0.01)
     veil = np.float32(np.exp(-160 / light.sight) * 0.6)
@@ -147,9 +151,11 @@ def halos(rgb: Floats, camera: Camera, depth: Floats, lamps: NDArray[np.float64]
     height, width = depth.shape
     rows, columns = np.arange(height, dtype=np.float32)[:, None], np.arange(width, dtype=np.float32)
     for column, row, away in camera.project(lamps):
+        # A lamp outside the picture still glows into its edge.
         if away < 2 or not (-40 < column < width + 40 and -40 < row < height + 40):
             continue
         at = depth[int(np.clip(row, 0, height - 1)), int(np.clip(column, 0, width - 1))]
+        # Something nearer hides the lamp, and its glow with it.
         if 0 < at < away - 0.6:
             continue
         radius = np.float32(camera.focal * 0.55 / away + 2)
@@ -193,14 +199,17 @@ class Surfaces:
     def daylight(self, light: Light, shade: Field | None, ground: Ground) -> Floats:
         """Light of sun and sky on every pixel, as factors ``[H, W, 3]``."""
         facing, sun = self.facing, towards(light).astype(np.float32)
+        # Walls see less of the sky than the ground does; a little more comes from the sun's side.
         open_sky = 0.74 + 0.26 * facing[..., 2] + 0.1 * (facing[..., 0] * sun[0] + facing[..., 1] * sun[1])
         low = (self.height < 3) & (self.depth > 0) & ~self.leaf
         corner = ground.shade.at(self.east[low], self.north[low])[:, 0]
         open_sky[low] *= 1 - 0.62 * corner * np.exp(-np.maximum(self.height[low], 0) / np.float32(1.1))
         total = open_sky[..., None] * np.array(light.sky, np.float32)
         if shade is not None:
+            # Leaves face everywhere: most of them catch the sun somehow.
             cosine = np.where(self.leaf, np.float32(0.75), facing @ sun)
             sunny = (cosine > 0) & (self.depth > 0)
+            # Half a metre before a wall, or the wall's own height in the map would shade it.
             out = np.float32(0.45)
             reach = shade.at(
                 self.east[sunny] + out * facing[sunny, 0], self.north[sunny] + out * facing[sunny, 1]
@@ -255,6 +264,7 @@ def develop(
     rgb[below] = ground.colours(east[below], north[below], surfaces.depth[below])
     rgb[surfaces.leaf] *= np.array(light.leaf, np.float32)
     own = rgb / np.float32(255)
+    # Glass mirrors the sky, by night far less of it.
     glass = (seen.kind >= WINDOW) | (seen.kind == DISPLAY)
     rgb[glass] += np.array(light.horizon, np.float32) * (0.12 if light.lit < 0.3 else 0.03)
     rgb *= surfaces.daylight(light, shade, ground)
@@ -268,6 +278,7 @@ def develop(
     ]
     sky = surfaces.depth <= 0
     rgb[sky] = heavens(rays, sky, light, seed)
+    # Rain mirrors what is lit already, haze and sky included.
     if light.wet > 0:
         mirror(rgb, below, light.wet, ground.rough(east, north, 2.0))
     if light.lit > LAMPS_ON:
@@ -278,6 +289,7 @@ def develop(
 def light_windows(rgb: Floats, own: Floats, seen: Seen, light: Light, rng: np.random.Generator) -> None:
     """Light some rooms, the shops and the lamps themselves."""
     glass = seen.kind >= WINDOW
+    # One number a face and a window, whatever is seen of it: a room does not go dark at the picture's edge.
     lot = rng.random((int(seen.face.max(initial=0)) + 1, 256))[seen.face[glass], seen.kind[glass]]
     rooms = np.zeros((len(lot), 3), np.float32)
     burning = lot < light.lit
@@ -294,6 +306,7 @@ def mirror(rgb: Floats, below: NDArray[np.bool_], wet: float, rough: Floats) -> 
     rows, columns = np.nonzero(below)
     if not len(rows):
         return
+    # The lowest row of each column that is not ground: what is mirrored has its foot there.
     last = below.shape[0] - 1 - np.argmax(~below[::-1], axis=0)
     foot = np.where(below.all(axis=0), 0, last)
     ripple = rough[rows, columns] * 5
@@ -317,18 +330,22 @@ def expose(
         shake: How far exposure and white balance wander, as a share.
     """
     height, width = linear.shape[:2]
+    # The camera meters the lower three quarters, as those that distrust the sky do.
     meter = float(np.median(linear[height // 4 :: 3, ::3].mean(axis=-1)))
     auto = float(np.clip((light.bright / max(meter, 1.0)) ** 0.75, 0.75, 1.9))
     gain = auto * (1 + rng.normal(0, shake) + rng.normal(0, shake / 3, 3))
     value = linear * (gain / 255).astype(np.float32)
+    # A shoulder instead of a cut: bright sky keeps its clouds.
     bright = value > 0.7
     value[bright] = 0.7 + 0.3 * np.tanh((value[bright] - 0.7) / 0.42)
+    # A little less colour, as cheap sensors see it.
     grey = value.mean(axis=-1, keepdims=True)
     value = grey + (value - grey) * np.float32(0.88)
     y, x = np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)
     value *= (255 - 16 * (x**2 + y**2) ** 1.5).astype(np.float32)[..., None]
     rays = Image.fromarray(value.clip(0, 255).astype(np.uint8))
     photo = np.asarray(rays.resize(size, Image.Resampling.LANCZOS), np.float32)
+    # Noise comes after shrinking, or averaging would take most of it away; part of it is common to all channels.
     level = rng.standard_normal((*photo.shape[:2], 1), np.float32) * np.float32(light.grain)
     level = level + rng.standard_normal(photo.shape, np.float32) * np.float32(light.grain / 2)
     return (photo + level).clip(0, 255).astype(np.uint8)

@@ -32,13 +32,8 @@ AWNINGS: tuple[Colour, ...] = (
     (170, 44, 42), (36, 90, 70), (40, 70, 130), (206, 150, 50), (122, 52, 84), (60, 60, 64), (212, 110, 52),
 )  # fmt: skip
 TILES: tuple[Colour, ...] = (
-    (150, 84, 62),
-    (126, 70, 56),
-    (86, 88, 96),
-    (98, 80, 70),
-    (70, 76, 82),
-    (164, 104, 76),
-)
+    (150, 84, 62), (126, 70, 56), (86, 88, 96), (98, 80, 70), (70, 76, 82), (164, 104, 76),
+)  # fmt: skip
 FRAMES: tuple[Colour, ...] = ((240, 240, 236), (236, 232, 222), (64, 48, 38), (44, 66, 58), (60, 62, 66))
 NAMES = (
     "BAKERY", "CAFE LUNA", "BOOKS", "PHARMACY", "FLORIST", "OPTIK", "BISTRO", "TAILOR", "CYCLES", "WINE & CO",
@@ -106,9 +101,11 @@ def invent(seed: tuple[int, ...], width: float) -> Style:
     rng = np.random.default_rng(seed)
     wall = str(rng.choice(["plaster", "brick", "boards", "stone"], p=[0.46, 0.3, 0.12, 0.12]))
     palette = {"plaster": PLASTERS, "brick": BRICKS, "boards": BOARDS, "stone": STONES}[wall]
+    # Narrow houses have gables, wide ones flat roofs.
     roofs = ["flat", "gable", "stepped", "eaves", "mansard"]
     odds = [0.22, 0.2, 0.1, 0.36, 0.12] if width < 10 else [0.36, 0.08, 0.04, 0.36, 0.16]
     storeys = int(rng.choice([2, 3, 4, 5], p=[0.3, 0.38, 0.24, 0.08]))
+    # Nobody builds four storeys of boards.
     storeys = min(storeys, 3) if wall == "boards" else storeys
     pitch = rng.uniform(1.55, 2.9)
     shop = str(rng.choice(NAMES)) if rng.random() < 0.36 else ""
@@ -163,6 +160,7 @@ class Street:
     def at(self, along: float, left: float = 0.0) -> tuple[Points, Points]:
         """The point so many metres along and to the left, and the street's direction there."""
         point = np.array([np.interp(along, self.along, self.line[:, axis]) for axis in (0, 1)])
+        # Over a metre and a half, so that the corners between the line's points are not felt.
         ahead, behind = (
             np.array([np.interp(along + step, self.along, self.line[:, axis]) for axis in (0, 1)])
             for step in (0.75, -0.75)
@@ -242,6 +240,7 @@ class TownPlan:
 def plan_town(seed: int, viewpoints: int) -> TownPlan:
     """Lay out the largest town whose streets `viewpoints` places still cover densely."""
     streets = lay_streets(seed, 2, 2)
+    # One crossing more at a time, across and along in turn, until the references would stand too far apart.
     for step in range(1, 40):
         larger = lay_streets(seed, 2 + (step + 1) // 2, 2 + step // 2)
         if sum(usable(street) for street in larger) / viewpoints > SPACING:
@@ -268,6 +267,7 @@ def lay_streets(seed: int, across: int, along: int) -> tuple[Street, ...]:
     ways += [((c, r), (c, r + 1)) for c in range(across) for r in range(along - 1)]
     streets = []
     for number, (start, stop) in enumerate(ways):
+        # Each street is drawn by its own ends: a larger town has the smaller one's streets in it.
         bow = np.random.default_rng([seed, 2, *start, *stop]).uniform(-5, 5)
         step = nodes[stop] - nodes[start]
         share = np.linspace(0, 1, int(np.linalg.norm(step)) + 1)[:, None]
@@ -289,9 +289,8 @@ def build_houses(seed: int, streets: tuple[Street, ...]) -> tuple[House, ...]:
             while along < street.length + 4:
                 corners, width = street.plot(side, along, rng)
                 if _free(corners, asphalt, houses):
-                    houses.append(
-                        House(corners, invent((seed, 4, street.number, side + 1, len(houses)), width))
-                    )
+                    style = invent((seed, 4, street.number, side + 1, len(houses)), width)
+                    houses.append(House(corners, style))
                     along += width + (rng.uniform(1.2, 3.2) if rng.random() < 0.14 else 0.02)
                 else:
                     along += 0.5
@@ -301,8 +300,10 @@ def build_houses(seed: int, streets: tuple[Street, ...]) -> tuple[House, ...]:
 def _free(corners: Points, asphalt: Points, houses: list[House]) -> bool:
     """Whether a footprint keeps clear of streets and of the houses that stand already."""
     width, depth = (float(np.linalg.norm(corners[far] - corners[0])) for far in (1, 3))
+    # On the inside of a bend a plot may be squeezed.
     if width < 4.5:
         return False
+    # In the plot's own axes the distance to a rectangle is what is left after clipping.
     axes = np.stack([(corners[1] - corners[0]) / width, (corners[3] - corners[0]) / depth])
     near = (asphalt - corners[0]) @ axes.T
     gaps = near - near.clip(0, [width, depth])
@@ -328,6 +329,7 @@ def place_furniture(seed: int, streets: tuple[Street, ...]) -> tuple[tuple[Thing
     trees, lamps = [], []
     for street in streets:
         rng = np.random.default_rng([seed, 5, street.number])
+        # A street has one kind of tree, mostly, or hardly any.
         leafy, sort = rng.random() < 0.6, int(rng.integers(6))
         for side in (-1, 1):
             along = 11.0 + rng.uniform(0, 4)
@@ -335,10 +337,10 @@ def place_furniture(seed: int, streets: tuple[Street, ...]) -> tuple[tuple[Thing
                 if rng.random() < (0.62 if leafy else 0.12):
                     where, _ = street.at(along, side * (ROAD + 0.85))
                     kind = sort if rng.random() < 0.8 else int(rng.integers(6))
-                    trees.append(
-                        Thing((float(where[0]), float(where[1])), kind, float(rng.uniform(4.6, 8.2)))
-                    )
+                    spot, height = (float(where[0]), float(where[1])), float(rng.uniform(4.6, 8.2))
+                    trees.append(Thing(spot, kind, height))
                 along += rng.uniform(10, 17)
+        # Lamps every 21 m, on the left and on the right in turn.
         for turn, along in enumerate(np.arange(9.0 + rng.uniform(0, 3), street.length - 8, 21.0)):
             where, _ = street.at(float(along), (ROAD + 0.45) * (1 if turn % 2 else -1))
             lamps.append(Thing((float(where[0]), float(where[1])), 0, 5.2))
@@ -356,12 +358,6 @@ def park_cars(plan: TownPlan, visit: int) -> tuple[Thing, ...]:
                 if rng.random() < crowd:
                     where, way = street.at(float(along + rng.uniform(-0.5, 0.5)), side * (ROAD - 1.05))
                     turn = float(np.arctan2(way[1], way[0])) + (np.pi if side == 1 else 0.0)
-                    cars.append(
-                        Thing(
-                            (float(where[0]), float(where[1])),
-                            int(rng.integers(64)),
-                            1.0,
-                            turn + rng.normal(0, 0.015),
-                        )
-                    )
+                    spot, sort = (float(where[0]), float(where[1])), int(rng.integers(64))
+                    cars.append(Thing(spot, sort, 1.0, turn + rng.normal(0, 0.015)))
     return tuple(cars)

@@ -46,6 +46,7 @@ class Texture:
         cls, rgb: NDArray[np.generic], kind: Bytes, pixels_per_metre: float, *, fits: bool = True
     ) -> Texture:
         """Halve `rgb` (averaged) and `kind` (every other one) until a side would vanish."""
+        # Averages are taken of the unrounded level before, or rounding would darken the distance.
         colours = np.clip(rgb, 0, 255).astype(np.float32)
         levels = [(colours.astype(np.uint8), kind)]
         while min(kind.shape) >= 4 and len(levels) < 7:
@@ -58,6 +59,7 @@ class Texture:
 
     def sample(self, across: Floats, up: Floats, level: NDArray[np.int8]) -> tuple[Bytes, Bytes]:
         """Colours ``[N, 3]`` and kinds ``[N]`` at places in widths and heights of the texture; it repeats."""
+        # Level by level: most faces need one or two, and each is one gather.
         rgb = np.empty((len(across), 3), np.uint8)
         kind = np.empty(len(across), np.uint8)
         for wanted in range(int(level.min()), int(level.max()) + 1):
@@ -216,8 +218,10 @@ class Seen:
         )
         times = times.astype(np.float32)
         texels = grain * depth[inside] / camera.focal * np.sqrt(stretch)
+        # Mostly the finer of two levels: a pixel's rays are averaged later, which takes the shimmer away.
         level = np.clip(np.log2(texels) + 0.35, 0, len(painted.levels) - 1).astype(np.int8)
         rgb, kind = painted.sample(across[inside] * times[0], upward[inside] * times[1], level)
+        # Rays that meet a hole go on to what is farther away.
         solid = np.flatnonzero(kind != HOLE)
         hit = inside[solid]
         flat = (open_rows[hit] + top) * camera.size[0] + open_columns[hit] + left

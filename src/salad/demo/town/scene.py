@@ -61,6 +61,7 @@ class Studio:
             lamps=self.lamps(shot),
             seed=seed,
         )
+        # The photo's own noise: two photos of one visit share their clouds and windows, not their grain.
         rng = np.random.default_rng([*seed, *shot.name.encode()])
         return expose(linear, light, rng, size=size, shake=0.03 if shot.light == "day" else 0.08)
 
@@ -68,12 +69,14 @@ class Studio:
         """All faces near enough to be seen."""
         place, faces = np.array(shot.camera.position[:2]), Faces()
         rng = np.random.default_rng([self.plan.seed, 8, shot.visit])
+        # Awnings are out or in by visit, and for every house, so that a photo does not depend on what it sees.
         out = rng.random(len(self.houses)) < 0.7
         for number in np.flatnonzero(np.linalg.norm(self.centres - place, axis=1) < SIGHT).tolist():
             faces.extend(self.houses[number])
             house = self.plan.houses[number]
             faces.extend(things.front_faces(house, number, awning_out=bool(out[number])))
         for car in parked:
+            # A car nearer than that would fill the picture, and one farther than 90 m is a speck behind others.
             if 4.2 < np.hypot(*(np.array(car.where) - place)) < 90:
                 faces.extend(things.car_faces(car))
         for number, tree in enumerate(self.plan.trees):
@@ -134,6 +137,7 @@ def _stand(
     """Put up a flat picture that turns towards the camera."""
     away = np.array(thing.where) - place
     distance = float(np.hypot(*away))
+    # Standing in a tree one would see nothing but its picture.
     if 1.5 < distance < SIGHT:
         right = np.array([away[1], -away[0], 0.0]) / distance * width
         foot = np.array([*thing.where, 0.0]) - right / 2

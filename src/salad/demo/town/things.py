@@ -22,12 +22,15 @@ def paint_tree(sort: int, variant: int) -> Texture:
     canvas.kind[:] = 0
     across, up = canvas.grid()
     trunk = np.abs(across - 0.4 - 0.012 * np.sin(up * 9 + variant)) < 0.02 * (1.5 - up) + 0.012 * (up < 0.04)
+    # The trunk ends inside the crown.
     canvas.kind[trunk & (up < 0.7)] = MATTE
     canvas.rgb[trunk] = np.array([92, 78, 66]) * (0.75 + 0.5 * (across[trunk] > 0.4))[:, None]
     low, high = rng.uniform(0.26, 0.36), 0.97
+    # In random order: sorted by height the tufts would lie like roof tiles.
     for _ in range(44):
         centre_up = rng.uniform(low + 0.08, high - 0.08)
         share = (centre_up - low) / (high - low)
+        # Two sorts in three have round crowns, the third is a cone.
         reach = 0.33 * np.sqrt(max(0.05, 1 - (2 * share - 0.9) ** 2)) if sort % 3 else 0.3 * (1.15 - share)
         centre = 0.4 + rng.uniform(-1, 1) * max(reach - 0.05, 0.02)
         # A clump of leaves, bright above and dark below.
@@ -111,7 +114,7 @@ def front_faces(house: House, number: int, *, awning_out: bool) -> Faces:
     right = np.array([*((house.corners[1] - house.corners[0]) / house.width), 0.0])
     out, up = np.array([right[1], -right[0], 0.0]), np.array([0.0, 0.0, 1.0])
     if style.awning is not None:
-        reach, drop = (1.3, 0.75) if awning_out else (0.35, 0.5)
+        reach, drop = (1.3, 0.75) if awning_out else (0.35, 0.5)  # rolled in, a strip of cloth still shows
         hinge = start + right * 0.25 + up * (style.ground - 0.98)
         edge = hinge + out * reach - up * drop
         wide = right * (house.width - 0.5)
@@ -179,35 +182,16 @@ def chimney_faces(house: House, low: NDArray[np.float64], height: float) -> Face
 
 
 PAINTS = (
-    (196, 198, 200), (30, 32, 36), (240, 240, 238), (128, 24, 28), (40, 62, 104), (98, 104, 108),
-    (58, 84, 70),
+    (196, 198, 200), (30, 32, 36), (240, 240, 238), (128, 24, 28), (40, 62, 104), (98, 104, 108), (58, 84, 70),
     (178, 150, 92),
 )  # fmt: skip
 CAR_WIDTH = 1.74
 # Outlines from front bumper over roof to rear bumper: a hatchback, a saloon and a van, in metres.
 PROFILES: tuple[tuple[tuple[float, float], ...], ...] = (
-    (
-        (0.0, 0.35),
-        (0.02, 0.75),
-        (0.95, 0.98),
-        (1.7, 1.44),
-        (3.0, 1.47),
-        (3.75, 1.02),
-        (3.95, 0.6),
-        (3.95, 0.35),
-    ),
-    (
-        (0.0, 0.35),
-        (0.0, 0.68),
-        (1.2, 0.92),
-        (1.95, 1.38),
-        (3.1, 1.38),
-        (3.75, 0.98),
-        (4.5, 0.9),
-        (4.55, 0.35),
-    ),
+    ((0.0, 0.35), (0.02, 0.75), (0.95, 0.98), (1.7, 1.44), (3.0, 1.47), (3.75, 1.02), (3.95, 0.6), (3.95, 0.35)),
+    ((0.0, 0.35), (0.0, 0.68), (1.2, 0.92), (1.95, 1.38), (3.1, 1.38), (3.75, 0.98), (4.5, 0.9), (4.55, 0.35)),
     ((0.0, 0.35), (0.0, 0.9), (0.5, 1.15), (1.05, 1.9), (4.5, 1.95), (4.75, 1.0), (4.8, 0.6), (4.8, 0.35)),
-)
+)  # fmt: skip
 
 
 def paint_car(profile: int, paint: int) -> Texture:
@@ -219,6 +203,7 @@ def paint_car(profile: int, paint: int) -> Texture:
     canvas.rgb *= (0.72 + 0.4 * np.clip((up - 0.3) / 0.7, 0, 1) - 0.25 * (np.abs(up - 0.62) < 0.03))[
         ..., None
     ]
+    # A van's windows begin higher, and only its front has any.
     waist = 0.93 if profile < 2 else 1.12
     glass = (up > waist) & (up < roof - 0.1) & (across > outline[2, 0] + 0.25)
     glass &= across < outline[5, 0] - 0.1 if profile < 2 else across < outline[3, 0] + 1.0
@@ -269,14 +254,10 @@ def car_faces(car: Thing) -> Faces:
     rise = np.array([0, 0, 2.0])
     faces.add(nose + left * CAR_WIDTH / 2, -way * length, rise, ("car", profile, paint), both=True)
     faces.add(nose - left * CAR_WIDTH / 2, -way * length, rise, ("car", profile, paint), both=True)
+    # From bumper to bumper; a saloon has a boot between its rear window and its rear.
     parts = ("front", "body", "glass", "body", "glass", "body" if profile == 1 else "rear", "rear")
     for part, start, stop in zip(parts, outline[:-1], outline[1:], strict=True):
         first, second = (nose - way * place + np.array([0, 0, up]) for place, up in (start, stop))
-        faces.add(
-            first - left * CAR_WIDTH / 2,
-            left * CAR_WIDTH,
-            second - first,
-            ("car-part", paint, part),
-            both=True,
-        )
+        corner = first - left * CAR_WIDTH / 2
+        faces.add(corner, left * CAR_WIDTH, second - first, ("car-part", paint, part), both=True)
     return faces

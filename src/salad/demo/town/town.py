@@ -140,6 +140,7 @@ def read_town(folder: str | Path) -> Town:
         raise BenchmarkError(
             f"the town in {folder} lacks {missing[0].name}: draw it again into an empty folder"
         )
+    # JSON has lists, a town holds tuples.
     lines, corners = (
         tuple(tuple(GeoPoint(*point) for point in shape) for shape in described[key])
         for key in ("streets", "blocks")
@@ -202,6 +203,7 @@ def _clear(folder: Path) -> None:
     ours = {"references", "queries", "truth.csv", "town.json"}
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        # The folder may be somebody's own: only what a town consists of is ever deleted.
         foreign = sorted(path.name for path in folder.iterdir() if path.name not in ours)
         if foreign:
             raise BenchmarkError(
