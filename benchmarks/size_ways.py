@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
@@ -164,11 +165,9 @@ def seconds(run: Callable[[], object]) -> float:
 def set_threads(name: str, threads: int) -> None:
     """For a way's library; it also brings its code in, which is not the matrix's memory."""
     if name == "salad":
-        import torch
+        import salad.index.index  # noqa: F401  # to bring its code in
 
-        import salad.index  # noqa: F401  # to bring its code in
-
-        torch.set_num_threads(threads)
+        os.environ["OMP_NUM_THREADS"] = str(threads)
     elif name == "faiss flat":
         import faiss
 
