@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from salad.errors import SaladError, StoreError
@@ -567,6 +567,7 @@ def test_an_index_without_checksums_can_be_used_and_gets_them(index: Index) -> N
 @given(
     hits=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=8)
 )
+@example(hits=[(0.1484375, 128)])  # which SQLite's own sentence quotes, and is no text
 def test_a_damaged_table_is_a_sentence(
     tmp_path_factory: pytest.TempPathFactory, hits: list[tuple[float, int]]
 ) -> None:

@@ -59,6 +59,7 @@ REMOVE = """
 UPDATE photos SET removed = 1 WHERE removed = 0
 AND (path = CAST(:path AS TEXT) OR (path >= CAST(:low AS TEXT) AND path < CAST(:high AS TEXT)))
 """
+# CAST in the statements: the paths are bound as bytes, which no encoding can refuse.
 PHOTO = "row, path, lat, lon, heading, time"  # what `photo` reads
 
 Fields = tuple[bytes, float | None, float | None, float | None, str | None]
@@ -124,12 +125,12 @@ class Database:
                 f"{path.absolute().as_uri()}?mode=rw",
                 uri=True,
                 timeout=wait,
-                isolation_level=None,
-                check_same_thread=False,
+                isolation_level=None,  # Python's module begins no transactions of its own
+                check_same_thread=False,  # the lock sees to that
             )
-            self._db.execute("PRAGMA synchronous = FULL")
+            self._db.execute("PRAGMA synchronous = FULL")  # a commit that returned survives a power cut
             self._db.execute(f"PRAGMA cache_size = -{_CACHE_KB}")
-        self._db.text_factory = os.fsdecode
+        self._db.text_factory = os.fsdecode  # a path need not be UTF-8, and comes back as it was
 
     def close(self) -> None:
         """Let go of the file."""
@@ -183,7 +184,8 @@ class Database:
         """Turn SQLite's errors into a sentence."""
         try:
             yield
-        except sqlite3.Error as error:
+        # Of a damaged file SQLite quotes what it read there, and Python fails to read that as text.
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             kind = (
                 getattr(error, "sqlite_errorcode", 0) & 0xFF
             )  # the low byte is the kind, the rest its detail
@@ -236,7 +238,7 @@ class Catalog(Database):
     @staticmethod
     def create(path: Path, *, matrix: str) -> None:
         """Make an empty table at `path` for the matrix file named `matrix`."""
-        db = sqlite3.connect(path)
+        db = sqlite3.connect(path)  # which makes the file; `Database` opens what is there
         try:
             db.executescript(SCHEMA)
             db.execute("INSERT INTO committed VALUES (1, 0, 0, ?)", (matrix,))
@@ -297,7 +299,7 @@ class Catalog(Database):
         """The checksum of each row that counts, `UNKNOWN` where none was written: `[rows]`."""
         rows = self.committed().rows
         noted = np.full(rows, UNKNOWN, dtype=np.int64)
-        if self._has_sums():
+        if self._has_sums():  # salad 0.1.0 wrote none
             pairs = self._sums("row BETWEEN 0 AND ?", rows - 1)
             noted[pairs["row"]] = pairs["sum"]
         return noted
@@ -364,7 +366,7 @@ class Catalog(Database):
 
     def at_paths(self, paths: Iterable[Path], *, below: int | None = None) -> list[tuple[int, Path, str]]:
         """Row, path and content of the live photos at these paths, of those before row `below` where given."""
-        wanted = list(map(os.fsencode, paths))
+        wanted = list(map(os.fsencode, paths))  # bytes, which json_each could not take: hence marks, in parts
         found: list[tuple[int, str, str]] = []
         for low in range(0, len(wanted), _PAGE):
             some = wanted[low : low + _PAGE]
@@ -407,6 +409,8 @@ class Catalog(Database):
 
     def remove(self, path: Path) -> int:
         """Remove the photo at `path`, or all those below it; how many."""
+        # All paths below a folder lie between it with a separator behind, and with the character after that: so the
+        # table's order of paths finds them, and no pattern must be escaped.
         below = os.fsencode(path).rstrip(os.sep.encode())
         bounds = {
             "path": os.fsencode(path),

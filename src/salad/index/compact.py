@@ -50,7 +50,7 @@ def compact(folder: Path, catalog: Catalog, *, dim: int) -> Compacted:
         with catalog.writing():
             last = catalog.committed()
             _sweep(folder, keep=last.matrix)
-            kept, damaged = _rewrite(folder, catalog, last, dim)
+            kept, damaged = _rewrite(folder, catalog, last, dim)  # the commit comes when this block ends
     finally:
         # Under the lock again: a compaction that has begun since is writing a file nobody names yet.
         with suppress(StoreError), catalog.writing():
@@ -65,7 +65,7 @@ def _rewrite(folder: Path, catalog: Catalog, last: Committed, dim: int) -> tuple
     old = FileRows(folder / last.matrix, rows=last.rows, dim=dim)
     alive = np.zeros(last.rows, dtype=np.bool_)
     live, noted = catalog.live_rows(), catalog.sums()
-    alive[live[live < last.rows]] = True
+    alive[live[live < last.rows]] = True  # a damaged table may list photos behind those that count
     full = len(live) == alive.sum() == old.held == last.rows
     if full and (noted != UNKNOWN).all() and not verify.damaged(old, alive, noted):
         return len(live), []  # nothing to be gained
@@ -86,7 +86,7 @@ def _rewrite(folder: Path, catalog: Catalog, last: Committed, dim: int) -> tuple
             f"{path} cannot be written ({error.strerror}): nothing was changed; a compaction needs room for "
             "the descriptors that stay beside the old ones"
         ) from error
-    old.close()
+    old.close()  # or Windows would not let it be deleted
     kept = np.concatenate(rows)
     damaged = [photo.path for photo, _ in catalog.at_rows(np.setdiff1d(live, kept)).values()]
     catalog.renumber(kept, np.concatenate(checksums))

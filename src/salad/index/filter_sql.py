@@ -7,7 +7,6 @@ rest.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -30,10 +29,19 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
 
     It belongs in the look that `alive` was taken in, for a compaction gives rows other numbers.
     """
-    if filter == Filter(heading_within=filter.heading_within):
+    if filter == Filter(heading_within=filter.heading_within):  # it asks for nothing
         return alive
+    parts = _conditions(filter)
+    sql = "SELECT row, lat, lon, heading, time FROM photos WHERE " + " AND ".join(
+        ["row >= ?", "row < ?", *(condition for condition, _ in parts)]
+    )
+    given = [value for _, values in parts for value in values]
     passed = np.zeros(len(alive), dtype=np.bool_)
-    for some in _pages(filter, catalog, len(alive)):
+    # By row numbers: a page is found at once, and never are all photos in memory.
+    for start in range(0, len(alive), _PAGE):
+        some = catalog.select(sql, [start, min(start + _PAGE, len(alive)), *given])
+        if not some:
+            continue
         row, lat, lon, heading, time = zip(*some, strict=True)
         keep = np.ones(len(some), dtype=np.bool_)
         if filter.near is not None and filter.within_m is not None:
@@ -46,18 +54,6 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
     return passed & alive
 
 
-def _pages(filter: Filter, catalog: Catalog, rows: int) -> Iterator[list[tuple[Any, ...]]]:
-    """Row, latitude, longitude, heading and time of photos that may pass, some at a time."""
-    parts = _conditions(filter)
-    sql = "SELECT row, lat, lon, heading, time FROM photos WHERE " + " AND ".join(
-        ["row >= ?", "row < ?", *(condition for condition, _ in parts)]
-    )
-    given = [value for _, values in parts for value in values]
-    for start in range(0, rows, _PAGE):
-        if some := catalog.select(sql, [start, min(start + _PAGE, rows), *given]):
-            yield some
-
-
 def _conditions(filter: Filter) -> list[Part]:
     """What SQLite can tell of a filter."""
     parts: list[Part] = []
@@ -66,7 +62,7 @@ def _conditions(filter: Filter) -> list[Part]:
     if filter.near is not None and filter.within_m is not None:
         parts += _in_box(_around(filter.near, filter.within_m))
     if filter.heading is not None:
-        parts.append(("typeof(heading) = 'real'", ()))
+        parts.append(("typeof(heading) = 'real'", ()))  # a damaged table may hold text there
     if filter.since is not None:
         parts.append(("time >= ?", (_day(filter.since, -_ZONES),)))
     if filter.until is not None:

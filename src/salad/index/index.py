@@ -74,6 +74,7 @@ class Index:
         self.header = header
         self._catalog = catalog
         self._searcher = searcher
+        # What threads share is swapped whole: whoever comes late works out the same once more, and no harm is done.
         self._last: tuple[Snapshot, ChecksumVerifier, Searcher] | None = None
         self._middle: tuple[int, Mean] | None = None  # the mean descriptor, of which generation
 
@@ -111,11 +112,13 @@ class Index:
         Raises:
             StoreError: If it is no index, a newer salad wrote it, or it is damaged.
         """
-        home = Path(os.path.realpath(folder))
+        home = Path(
+            os.path.realpath(folder)
+        )  # a link that is bent elsewhere later does not move an open index
         header = Header.read(home)
         index = cls(home, header, Catalog(home / CATALOG_FILE, wait=wait), searcher=searcher)
         try:
-            index._snapshot()
+            index._snapshot()  # what is damaged shows here, not at the first search
         except BaseException:
             index.close()
             raise
@@ -170,7 +173,9 @@ class Index:
             known, first = self._catalog.known(contents), dict[str, int]()
             for number, content in enumerate(contents):
                 if content not in known:
-                    first.setdefault(content, number)
+                    first.setdefault(
+                        content, number
+                    )  # of several with one content, the first gives the descriptor
             fresh = list(first.values())
             if fresh:
                 self._refuse_gaps(last)
@@ -179,8 +184,10 @@ class Index:
                 append(self.folder / last.matrix, chosen, at=last.rows)
                 new, names = [placed[n] for n in fresh], [contents[n] for n in fresh]
                 self._catalog.insert(new, names, sums(chosen), row=last.rows)
+            # All others, those that come a second time in this call too: what they know of a photo is added to it.
             again = [number for number, content in enumerate(contents) if first.get(content) != number]
             self._catalog.update([placed[n] for n in again], [contents[n] for n in again])
+            # Photos from before this call whose file holds another content now; below: not those just written.
             self._catalog.retire([photo.path for photo in placed], contents, below=last.rows)
             self._catalog.commit_rows(last.rows + len(fresh))
         return len(fresh)
@@ -203,7 +210,9 @@ class Index:
         with self._catalog.writing():
             self._catalog.update(placed, identities)
             self._catalog.retire([photo.path for photo in placed], identities)
-            self._catalog.commit_rows(self._catalog.committed().rows)
+            self._catalog.commit_rows(
+                self._catalog.committed().rows
+            )  # none more, but a commit that others see
 
     def remove(self, paths: Sequence[str | Path]) -> int:
         """Forget the photos at these paths, or below them; how many. Their rows never come out again.
@@ -270,6 +279,7 @@ class Index:
                 may: Mask | Filter = alive
                 if where is not None:
                     may = where if searcher.takes_filters else allowed(where, self._catalog, alive)
+            # Outside of a look: a search may last, and nobody can commit during a look.
             seen.rows.keep()
             asked = Centred(searcher, self._mean(seen)) if centred else searcher
             hits = asked.search(queries, k=k, allowed=may)
@@ -369,7 +379,7 @@ class Index:
                 rows = FileRows(self.folder / last.matrix, rows=last.rows, dim=self.dim)
                 alive = np.ones(last.rows, dtype=np.bool_)
                 alive[self._catalog.dead_rows()] = False
-                alive[rows.held :] = False
+                alive[rows.held :] = False  # lost with the end of the file; the others can still be found
                 seen = Snapshot(last.generation, rows, alive)
                 self._last = seen, ChecksumVerifier(seen), self._searcher(rows)
             return self._last
@@ -391,4 +401,5 @@ class Index:
 def _placed(photos: Sequence[Photo]) -> list[Photo]:
     paths = index_folder.resolved(photo.path for photo in photos)
     pairs = zip(photos, paths, strict=True)
+    # As it is where its path is: to make a photo anew takes longer than all else here.
     return [photo if photo.path is path else replace(photo, path=path) for photo, path in pairs]

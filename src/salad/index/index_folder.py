@@ -84,7 +84,7 @@ class Header:
 
 
 def _whole(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:  # JSON's true is an int to Python
         raise ValueError(value)
     return value
 
@@ -127,9 +127,9 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
             )
         draft.mkdir(parents=True)
         yield draft
-        settle(draft)
+        settle(draft)  # its files' names onto the disk before its own says that all are there
         if folder.exists():
-            folder.rmdir()
+            folder.rmdir()  # an empty one: on Windows nothing is renamed over it
         draft.rename(folder)
     except OSError as error:
         raise StoreError(
@@ -151,7 +151,7 @@ def size(folder: Path) -> int:
 
 def settle(folder: Path) -> None:
     """See the names in `folder` onto the disk, where a folder can be opened for that."""
-    if os.name != "posix":
+    if os.name != "posix":  # Windows opens no folder as a file
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:

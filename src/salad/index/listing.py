@@ -72,7 +72,7 @@ def pages(catalog: Catalog, look: Callable[[], Snapshot]) -> Iterator[Page]:
     Raises:
         StoreError: If the index is compacted meanwhile.
     """
-    with catalog.reading():
+    with catalog.reading():  # rows and checksums of one commit
         seen, sums = look(), catalog.sums()
         lost = catalog.live_rows(start=seen.rows.held).tolist()
 
@@ -84,6 +84,7 @@ def pages(catalog: Catalog, look: Callable[[], Snapshot]) -> Iterator[Page]:
 
     for start, block, good in checked(seen.rows, seen.alive, sums):
         alive = seen.alive[start : start + len(block)]
+        # Photos removed since the look are told too: a page is what that commit held.
         held = still((start + alive.nonzero()[0]).tolist())
         rows = [row for row in held if good[row - start]]
         yield Page(

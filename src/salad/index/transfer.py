@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -81,8 +81,14 @@ def _geojson_writer(path: Path) -> Iterator[Put]:
         def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
             nonlocal between
             for record in map(_record, photos, identities):
+                lat, lon = record["lat"], record["lon"]
+                feature = {
+                    "type": "Feature",
+                    "geometry": None if lat is None else {"type": "Point", "coordinates": [lon, lat]},
+                    "properties": {name: record[name] for name in COLUMNS if name not in ("lat", "lon")},
+                }
                 text = _is_text(record["path"])  # names that are not UTF-8 are escaped
-                file.write(f"{between}\n{json.dumps(_feature(record), ensure_ascii=not text)}")
+                file.write(f"{between}\n{json.dumps(feature, ensure_ascii=not text)}")
                 between = ","
 
         yield put
@@ -99,13 +105,6 @@ def _record(photo: Photo, identity: str) -> dict[str, Any]:
         "time": photo.time.isoformat() if photo.time else None,
         "identity": identity,
     }
-
-
-def _feature(record: Record) -> dict[str, Any]:
-    lat, lon = record["lat"], record["lon"]
-    point = None if lat is None else {"type": "Point", "coordinates": [lon, lat]}
-    rest = {name: record[name] for name in COLUMNS if name not in ("lat", "lon")}
-    return {"type": "Feature", "geometry": point, "properties": rest}
 
 
 def _is_text(path: str) -> bool:
@@ -159,16 +158,12 @@ def _header(names: list[str]) -> list[str]:
     return header
 
 
-def _geojson_records(path: Path) -> Iterable[Record]:
-    told = json.loads(path.read_text(encoding="utf-8"))
-    return (_flat(feature) for feature in told["features"])
-
-
-def _flat(feature: Record) -> Record:
-    record, point = dict(feature["properties"]), feature["geometry"]
-    if point is not None:
-        record["lon"], record["lat"], *_ = point["coordinates"]
-    return record
+def _geojson_records(path: Path) -> Iterator[Record]:
+    for feature in json.loads(path.read_text(encoding="utf-8"))["features"]:
+        record, point = dict(feature["properties"]), feature["geometry"]
+        if point is not None:
+            record["lon"], record["lat"], *_ = point["coordinates"]  # GeoJSON's order; a height may follow
+        yield record
 
 
 def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
@@ -315,6 +310,7 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
         StoreError: If the folder cannot be read, or makes no sense; nothing of it was added.
     """
     source = model_of(folder, name=model or index.model)
+    # Another tool's folder says nothing of a model: whoever names the index's own vouches that it made them.
     vouched = model == index.model and not Path(folder, _MODEL).exists() and source.dim == index.dim
     if source.fingerprint != index.fingerprint and not vouched:
         raise wrong_model(index, Path(folder), source.model, source.fingerprint)
@@ -336,7 +332,7 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
                 "its length (rows / numpy.linalg.norm(rows, axis=1, keepdims=True)), if the model's likeness is "
                 "the cosine"
             )
-    lines, added = read(table), 0
+    lines, added = read(table), 0  # read once more: a million photos need not be in memory
     for _, some in rows.blocks(numbers=_COMMIT):
         page = list(islice(lines, len(some)))
         contents = [content or _content(photo) for photo, content in page]

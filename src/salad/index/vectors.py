@@ -31,6 +31,7 @@ STORED = np.dtype("<f2")
 _BLOCK = 1 << 20  # numbers read, checked or converted in one go: they stay in the processor's cache
 _KEEP = 1 << 28  # numbers that may stay in memory between searches: 512 MiB
 _NPY_TYPES = (np.float16, np.float32, np.float64)
+_NPY_HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 class FileRows:
@@ -83,9 +84,13 @@ class FileRows:
             raise StoreError(f"{path} cannot be read ({error.strerror}): check its permissions") from error
         self._swept = False
         self._kept: tuple[Block, Mask] | None = None  # rows, and which of them are there
-        self._end = weakref.finalize(self, self._file.close)
+        self._end = weakref.finalize(
+            self, self._file.close
+        )  # a search may hold them longer than the index does
         self._lock = threading.Lock()  # for systems that cannot read without moving the file's one position
-        size = os.fstat(self._file.fileno()).st_size - start
+        size = (
+            os.fstat(self._file.fileno()).st_size - start
+        )  # of the file that is open, whatever the path is by now
         self.held = max(0, min(rows, size // (dim * stored.itemsize)))
 
     @classmethod
@@ -97,11 +102,17 @@ class FileRows:
         """
         try:
             with path.open("rb") as file:
-                shape, by_columns, dtype = _npy_head(file)
+                # A type of objects, which would be pickled, is a type like any other here.
+                shape, by_columns, dtype = _NPY_HEADS[npy.read_magic(file)](file)
                 start = file.tell()
         except OSError as error:
             raise StoreError(
                 f"{path} cannot be read ({error.strerror}): check the name and permissions"
+            ) from error
+        except KeyError as error:
+            version = ".".join(map(str, error.args[0]))
+            raise StoreError(
+                f"{path} is no .npy file (version {version}): write it with numpy.save"
             ) from error
         except (ValueError, EOFError) as error:
             raise StoreError(f"{path} is no .npy file ({error}): write it with numpy.save") from error
@@ -184,6 +195,7 @@ class FileRows:
             rows, there = self._kept
             if there[start:stop].all():
                 return rows[start:stop]
+            # Two threads may read the same rows into the same place: both write the same.
             got = self.read(start, rows[start:stop])
             there[start : start + got] = True
             return rows[start : start + got]
@@ -328,13 +340,3 @@ class NpyWriter:
         shape = (self.rows, self._dim)
         head = {"descr": npy.dtype_to_descr(self._dtype), "fortran_order": False, "shape": shape}
         npy.write_array_header_1_0(self._file, head)
-
-
-def _npy_head(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[np.floating]]:
-    """Shape, whether it is by columns, and type; objects, which would be pickled, are a type like any other."""
-    version = npy.read_magic(file)
-    if version == (1, 0):
-        return npy.read_array_header_1_0(file)
-    if version == (2, 0):
-        return npy.read_array_header_2_0(file)
-    raise ValueError(f"version {version[0]}.{version[1]}")

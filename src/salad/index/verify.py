@@ -74,7 +74,7 @@ class IndexInfo:
 
 def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
     """What the index in `folder` holds, in numbers."""
-    with catalog.reading():
+    with catalog.reading():  # one look, so that the numbers belong together
         last, facts, positions = catalog.committed(), catalog.facts(), catalog.positions()
     around = box(positions)
     return IndexInfo(
@@ -104,7 +104,7 @@ def box(positions: npt.ArrayLike) -> Box | None:
         return None
     lats, lons = given.T
     east_of = np.sort(lons)
-    gaps = np.diff(east_of, append=east_of[0] + 360)
+    gaps = np.diff(east_of, append=east_of[0] + 360)  # the box leaves out the widest of them
     widest = int(gaps.argmax()) if gaps.max() > gaps[-1] else len(gaps) - 1
     west, east = east_of[(widest + 1) % len(east_of)], east_of[widest]
     return float(lats.min()), float(west), float(lats.max()), float(east)
@@ -127,7 +127,7 @@ def sound(rows: Half, sums: Numbers) -> Mask:
     with np.errstate(all="ignore"):  # damage may be any number, NaN and infinity too
         wide = rows.astype(np.float32)
         lengths = np.sqrt(np.einsum("ij,ij->i", wide, wide))
-    now = np.array(vectors.sums(rows), dtype=np.int64)
+    now = np.array(vectors.sums(rows), dtype=np.int64)  # the last word wherever a checksum was written
     plausible = np.abs(lengths - 1) <= UNIT_TOLERANCE + _ROUNDING
     good: Mask = (sums == now) | ((sums == UNKNOWN) & plausible)
     return good
@@ -205,7 +205,7 @@ def verify(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]:
             said += part()
         except StoreError as error:  # so damaged that it cannot be read: that is what we were asked for
             said.append(str(error))
-    return list(dict.fromkeys(said))
+    return list(dict.fromkeys(said))  # both parts may meet with the same damage
 
 
 def catalog_trouble(catalog: Catalog) -> list[str]:

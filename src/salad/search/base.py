@@ -64,7 +64,7 @@ class Rows(Protocol):
         A row that holds NaN or infinity is never found, and one that is too long is not where it scores higher than a
         sound row can. Nobody needs to measure rows for that.
 
-        None where rows may have any length and a damaged one must be told: then each is measured as it passes by, and
+        None where rows may have any length and a damaged one must not pass: then each is measured as it passes by, and
         one whose length is no number is a `DamagedRowError`.
         """
         ...
@@ -98,6 +98,7 @@ class ArrayRows:
     """
 
     def __init__(self, descriptors: npt.NDArray[np.floating], *, longest: float | None = None) -> None:
+        # float64 is more than descriptors say, and no kernel of ours takes it.
         kind = np.float16 if descriptors.dtype.type is np.float16 else np.float32
         self._rows: Block = np.ascontiguousarray(descriptors, dtype=kind)
         self.longest = longest
@@ -184,7 +185,7 @@ def as_queries(queries: npt.NDArray[np.floating], dim: int) -> Queries:
     Raises:
         SearchError: If they are not of dimension `dim`, or not all finite.
     """
-    asked = np.asarray(queries, dtype=np.float32)
+    asked = np.asarray(queries, dtype=np.float32)  # before it is looked at: a float64 may be infinite there
     if asked.ndim != 2 or asked.shape[1] != dim:
         raise SearchError(
             f"these queries have shape {list(asked.shape)}, but rows of {dim} numbers are searched: describe both with "

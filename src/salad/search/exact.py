@@ -55,15 +55,15 @@ Single = npt.NDArray[np.float32]
 T = TypeVar("T")
 R = TypeVar("R")
 
-_BLOCK = (
-    1 << 21
-)  # numbers of rows in a block: 4 MiB of float16, so that what a block costs besides does not show
-_BATCH = 96  # queries multiplied with a block at one stroke: from 128 on, kernels take up to twice as long for each
-_TOGETHER = 1 << 26  # numbers of the queries that rows pass by at once: the kernels keep 256 MiB of them
-_CANDIDATES = (
-    1 << 20
-)  # of a batch: more are scored once more at once, so that memory stays small whatever the rows are
-_PAIRS = 1 << 17  # numbers scored once more at a time: 1 MiB of float64
+# Numbers of rows in a block, 4 MiB of float16: large enough that what a block costs besides does not show.
+_BLOCK = 1 << 21
+# Queries multiplied with a block at one stroke: from 128 on, the kernels take up to twice as long for each of them.
+_BATCH = 96
+# Numbers of the queries that rows pass by at once: the kernels keep them as float32, 256 MiB.
+_TOGETHER = 1 << 26
+# Candidates of a batch; more are scored exactly at once, so that memory stays small even where all rows are alike.
+_CANDIDATES = 1 << 20
+_PAIRS = 1 << 17  # numbers scored exactly at a time: 1 MiB of float64
 _WORK = 1 << 22  # multiplications that are worth a thread
 
 
@@ -76,11 +76,11 @@ class ExactSearcher:
             `OMP_NUM_THREADS` says.
     """
 
+    takes_filters = False
+
     def __init__(self, rows: Rows, *, threads: int | None = None) -> None:
         self._rows = rows
         self._threads = threads or _processors()
-
-    takes_filters = False
 
     @property
     def dim(self) -> int:
@@ -125,6 +125,7 @@ class ExactSearcher:
         """Let all rows pass by these queries; what was found for each batch of them."""
         batches = [_Batch(some, _Candidates(self._rows, some, k)) for some in _pieces(queries, _BATCH)]
         threads = max(1, min(self._threads, len(self) * self.dim * len(queries) // _WORK))
+        # Four blocks a thread at least, so that a slow one does not keep the others waiting.
         size = max(1, min(_BLOCK // self.dim, -(-len(self) // (4 * threads))))
         todo = _Todo(len(self), size, allowed)
 
@@ -156,14 +157,12 @@ def _each(team: Executor | None, work: Callable[[T], R], items: Iterable[T]) -> 
 
 
 def _processors() -> int:
+    # The variable is OpenMP's, whose threads these are not; but it is what people set to say how many they want.
     asked = os.environ.get("OMP_NUM_THREADS", "")
     if asked.isdecimal() and int(asked):
         return int(asked)
     may = getattr(os, "sched_getaffinity", None)
     return len(may(0)) if may else os.cpu_count() or 1
-
-
-# --- blocks of rows -------------------------------------------------------------------------
 
 
 class _Todo:
@@ -236,7 +235,7 @@ class _Reader:
             return _Ready(start, block, 1.0, longest, 0.0, allowed)
         scale = _scale_to_half(longest)
         half = self._half[: len(block)]
-        with np.errstate(all="ignore"):  # a damaged row may overflow, and is told by that
+        with np.errstate(all="ignore"):  # a damaged row may overflow, and shows by that
             _round(block if scale == 1 else block * np.float32(scale), half)
         off = 2.0**-11 * scale * longest + 2.0**-25 * np.sqrt(self._rows.dim)
         return _Ready(start, half, scale, longest, off, allowed)
@@ -245,7 +244,7 @@ class _Reader:
 def _longest(block: Block, start: int) -> float:
     """The length of the longest row, or a little more."""
     wide = _widened(block)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # it shows below
         squares = np.einsum("ij,ij->i", wide, wide)
     bad = np.flatnonzero(~np.isfinite(squares))
     if bad.size:
@@ -275,13 +274,10 @@ def _round(wide: Block, half: Block) -> None:
 
 
 def _widened(block: Block) -> Single:
-    """A block as float32, which numpy is slow at too."""
+    """A block as float32, of which numpy takes its time too."""
     if block.dtype == np.float32 or not block.size:
         return block.astype(np.float32, copy=False)
     return np.asarray(numkong.astype(block, "float32"))
-
-
-# --- queries --------------------------------------------------------------------------------
 
 
 class _Batch:
@@ -318,7 +314,8 @@ class _Batch:
             near &= block.allowed[:, None]
         k = self.candidates.k
         if k < len(scores) and np.count_nonzero(near) > 4 * k * scores.shape[1]:
-            # So many pass at first that it pays to see what the block's own k-th best keeps out.
+            # So many pass at first that it pays to see what the block's own k-th best keeps out. It is rounded itself,
+            # and so is what is compared with it: hence twice.
             sound = np.where(near & (scores <= most), scores, np.float32(-np.inf))
             kth = -np.partition(-sound, k - 1, axis=0)[k - 1].astype(np.float64)
             near &= scores >= _below(kth - 2 * off)
@@ -326,6 +323,7 @@ class _Batch:
         score = scores[row, query].astype(np.float64)
         sane = score <= most[query]
         row, query, score = row[sane], query[sane], score[sane]
+        # From here on scores are true ones: those of blocks at different scales are compared.
         low, high = ((score + side * off[query]) / scale[query] for side in (-1, 1))
         self.candidates.offer(_Pairs(query, row + block.first, low, high))
 
@@ -376,11 +374,10 @@ class _Candidates:
         with self._lock:
             self._new.append(pairs)
             # To sort takes long where they are many: so as many more may wait as there are.
-            if sum(len(each.row) for each in self._new) > max(
-                len(self._reached) * self.k, len(self._pairs.row)
-            ):
+            wanted, held = len(self._queries) * self.k, len(self._pairs.row)
+            if sum(len(each.row) for each in self._new) > max(wanted, held):
                 self._leave_behind()
-                if len(self._pairs.row) > max(_CANDIDATES, 2 * len(self._reached) * self.k):
+                if len(self._pairs.row) > max(_CANDIDATES, 2 * wanted):
                     self._settle()
 
     def hits(self) -> Hits:

@@ -63,6 +63,7 @@ class Filter:
 
 def in_order(one: datetime, other: datetime) -> bool:
     """Whether `one` is not later: as moments where both have a zone, else by the clock on the wall."""
+    # utcoffset, not tzinfo: a zone that knows no offset is none.
     if one.utcoffset() is None or other.utcoffset() is None:
         return one.replace(tzinfo=None) <= other.replace(tzinfo=None)
     return one <= other

@@ -82,6 +82,7 @@ def centred(queries: Queries, mean: Mean) -> tuple[Queries, Scores]:
         The queries to search by, and what to add to the scores of each: `[Q]`.
     """
     lean = SHARE * mean
+    # A step at a time: widened to float64, all queries at once would take three times their memory.
     back = np.zeros(len(queries))
     for low in range(0, len(queries), _STEP):
         back[low : low + _STEP] = queries[low : low + _STEP] @ lean
@@ -105,7 +106,7 @@ def mean_of_some(rows: Rows, alive: Mask, *, most: int = MOST) -> Mean:
     those = np.flatnonzero(alive)
     if len(those) > most:
         those = those[np.linspace(0, len(those) - 1, most).astype(np.int64)]
-    total, count = np.zeros(rows.dim), 0
+    total, count = np.zeros(rows.dim), 0  # in float64: thousands of rows are added up
     for low in range(0, len(those), _STEP):
         wide = rows.take(those[low : low + _STEP]).astype(np.float64)
         sound = np.abs(np.linalg.norm(wide, axis=1) - 1) <= 2 * UNIT_TOLERANCE  # NaN is not

@@ -54,8 +54,9 @@ class PlainSearcher:
             np.full((len(asked), min(k, len(self))), -np.inf),
         )
         for number, query in enumerate(asked):
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore"):  # infinity times 0, in a damaged row
                 scores = (self._rows * query).sum(axis=1)
+            # What is too long to be sound is damaged; it shows where it scores more than a sound row can.
             most = np.inf if self._longest is None else self._longest * float(np.linalg.norm(query))
             sound = np.isfinite(scores) & (np.abs(scores) <= most)
             those = np.flatnonzero(sound if mask is None else sound & mask)
