@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -17,6 +17,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.paper import figures, rows, sets
+from benchmarks.paper import reproduce as reproduce_paper
+from benchmarks.paper.page import Figure, Judged, Report
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -33,16 +36,8 @@ from salad.network.aggregator_config import SaladConfig
 from salad.network.config import Preprocessing, ViTConfig
 
 ROOT = Path(__file__).resolve().parents[2]
-BENCHMARKS = ROOT / "benchmarks"
 PAPERS = Preprocessing()
 COUNTS = {"msls-val-740": (6, 3), "nordland-1f": (21, 3), "pitts250k-test": (4, 4), "sped": (5, 5)}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def on_path() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +48,6 @@ def fakes() -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def module(name: str) -> Any:
-    return importlib.import_module(name)
 
 
 def paint(folder: Path, numbers: Callable[[str], int]) -> None:
@@ -135,7 +126,7 @@ def reproduce(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
         to = tmp_path / "to"
         capsys.readouterr()
-        code = module("reproduce_paper").main([*map(str, arguments), "--to", str(to)], load=load)
+        code = reproduce_paper.main([*map(str, arguments), "--to", str(to)], load=load)
         written = (to / "reproduction.json").is_file()
         told = (
             json.loads((to / "reproduction.json").read_text()) if written else {"figures": [], "missing": []}
@@ -156,7 +147,6 @@ class TestFigures:
     def test_they_are_the_specifications(self, shared: Path) -> None:
         text = (shared / "spec" / "method.md").read_text()
         columns = ("", "msls-val-740", "nordland-1f", "pitts250k-test", "sped")  # the first is the challenge
-        figures = module("paper_figures")
         for name in figures.METHODS:
             claim = figures.first(name)
             cells = re.search(rf"\| {claim.title} \| (\d+) \|(.*)\|", text)
@@ -171,9 +161,7 @@ class TestFigures:
         assert {name for name in figures.METHODS if figures.first(name).dim} == {"small", "medium", "full"}
 
     def test_every_row_of_the_grids_has_named_protocols_and_its_size(self) -> None:
-        claims = {
-            (grid, row.name): module("paper_figures").claim(row) for grid in GRIDS for row in GRIDS[grid]
-        }
+        claims = {(grid, row.name): figures.claim(row) for grid in GRIDS for row in GRIDS[grid]}
         assert {protocol for one in claims.values() for protocol in one.figures} == set(COUNTS)
         dims = {name: one.dim for (_, name), one in claims.items()}
         assert (dims["netvlad"], dims["vlad"], dims["blocks-0"], dims["no-dustbin"]) == (
@@ -201,7 +189,7 @@ class TestPage:
     def test_no_table_holds_two_protocols(self, protocols: list[str]) -> None:
         claimed = {"sped": {1: 92.1}, "msls-val-740": {1: 92.2}}
         figures = [figure(name, 50.0, claimed, title=f"{name}/{row}") for row, name in enumerate(protocols)]
-        page = module("paper_page").Report(figures=figures).markdown()
+        page = Report(figures=figures).markdown()
         for name in set(protocols):
             lines = section(page, name)
             assert [line.split(" |")[0].strip("| ") for line in lines] == [
@@ -211,10 +199,9 @@ class TestPage:
             assert theirs == {f"{claimed[name][1]:.1f}" if name in claimed else "–"}
 
     def test_what_is_not_the_papers_is_not_compared(self) -> None:
-        page = module("paper_page")
         one = figure("sped", 10.0, {"sped": {1: 92.1}}, unlike=("64 numbers",))
-        assert not page.Report(figures=[one]).over
-        text = page.Report(figures=[one]).markdown()
+        assert not Report(figures=[one]).over
+        text = Report(figures=[one]).markdown()
         assert "92.1\\*" in text
         assert "Not compared: 64 numbers" in text
         assert "Nothing that ran has a figure" in text
@@ -222,11 +209,11 @@ class TestPage:
 
 def figure(
     protocol: str, percent: float, claimed: Any, *, title: str = "m", unlike: tuple[str, ...] = ()
-) -> Any:
+) -> Figure:
     from salad.evaluation.bootstrap import Interval
     from salad.evaluation.result import Result
 
-    page, claim = module("paper_page"), module("paper_figures").Claim(title, claimed)
+    claim = figures.Claim(title, claimed)
     ks = (1, 5)
     result = Result(
         *("b", protocol, 5, 5, 0),
@@ -235,7 +222,7 @@ def figure(
         seconds=1.0,
         intervals=dict.fromkeys(ks, Interval(0.0, 100.0)),
     )
-    return page.Figure(page.Judged(title, claim, "m", 8, "f", (322, 322), unlike=unlike), result)
+    return Figure(Judged(title, claim, "m", 8, "f", (322, 322), unlike=unlike), result)
 
 
 class TestRun:
@@ -278,8 +265,8 @@ class TestRun:
     def test_within_a_point_leaves_with_0(
         self, data: Path, reproduce: Run, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        claim = module("paper_figures").Claim("full", {"sped": {1: 99.0, 5: 100.0}}, 8448)
-        monkeypatch.setattr(module("paper_rows"), "first", lambda _: claim)
+        claim = figures.Claim("full", {"sped": {1: 99.0, 5: 100.0}}, 8448)
+        monkeypatch.setattr(rows, "first", lambda _: claim)
         ran = reproduce("--sped", data / "SPED", "--only", "full")
         assert (ran.code, ran.of("full", "sped")["difference"]) == (0, {"1": 1.0, "5": 0.0})
         assert "2 of 2 figures are within one point" in ran.page
@@ -306,7 +293,7 @@ class TestRun:
             "sped"
         ]
         with pytest.raises(BenchmarkError, match="cannot be read"):
-            module("paper_sets").find_set("sped", data / "absent")
+            sets.find_set("sped", data / "absent")
 
     def test_a_part_of_a_set_is_its_own_protocol(self, data: Path, reproduce: Run) -> None:
         (data / "SPED" / "query" / "0000004.jpg").unlink()
@@ -400,8 +387,8 @@ class TestRows:
             "data": {"photos": 530_000},
         }
         (runs / "parts" / "no-dustbin" / "seed0" / "result.json").write_text(json.dumps(told))
-        sets = ("--sped", data / "SPED", "--msls-val", data / "MSLS", "--runs", runs)
-        ran = reproduce(*sets)
+        taken = ("--sped", data / "SPED", "--msls-val", data / "MSLS", "--runs", runs)
+        ran = reproduce(*taken)
         msls = "msls-val-740"
         assert ran.of("parts-no-dustbin-seed0", msls)["paper"] == {"1": 91.4}
         assert ran.of("parts-no-dustbin-seed1", msls)["difference"]["1"] is not None
@@ -433,15 +420,13 @@ class TestRows:
         assert (other.code, "the paper's first table has netvlad, gem" in other.err) == (2, True)
 
     def test_what_tells_another_model(self) -> None:
-        claim = module("paper_figures").first("full")
+        claim = figures.first("full")
         head = SimpleNamespace(kind="salad", linear=8448)
         made = SimpleNamespace(backbone=ViTConfig(768, 12, 12), aggregator=head)
         megaloc = SimpleNamespace(dim=8448, preprocessing=PAPERS, config=made)
-        assert list(module("paper_rows").unlike(claim, megaloc)) == [
-            "a last linear layer, which the paper's has not"
-        ]
+        assert list(rows.unlike(claim, megaloc)) == ["a last linear layer, which the paper's has not"]
         made.aggregator = SaladConfig(768)
-        assert list(module("paper_rows").unlike(claim, megaloc)) == []
+        assert list(rows.unlike(claim, megaloc)) == []
 
     def test_a_size_of_photos_that_is_not_the_papers(self, data: Path, reproduce: Run) -> None:
         ran = reproduce("--sped", data / "SPED", "--only", "full", made=Counting(dim=8448))
@@ -449,18 +434,16 @@ class TestRows:
         assert ran.of("full", "sped")["aside"] == ["photos of another size than the paper's 322 x 322"]
 
     def test_the_shipped_model_for_real(self, data: Path, tmp_path: Path) -> None:
-        main = module("reproduce_paper").main
+        main = reproduce_paper.main
         to = tmp_path / "to"
-        sets = ["--sped", str(data / "SPED"), "--to", str(to)]
-        assert main([*sets, "--backbone", "salad-lite", "--only", "salad-lite"]) == 0
+        taken = ["--sped", str(data / "SPED"), "--to", str(to)]
+        assert main([*taken, "--backbone", "salad-lite", "--only", "salad-lite"]) == 0
         (one,) = json.loads((to / "reproduction.json").read_text())["figures"]
         assert (one["result"]["recall"]["1"], one["dim"]) == (100.0, 8448)
 
     def test_a_file_that_is_another_model(self, data: Path, tmp_path: Path, capsys: Any) -> None:
         shipped = path_of("salad-lite")
-        assert (
-            module("reproduce_paper").main([str(data), "--medium", str(shipped), "--to", str(tmp_path)]) == 2
-        )
+        assert reproduce_paper.main([str(data), "--medium", str(shipped), "--to", str(tmp_path)]) == 2
         said = capsys.readouterr().err
         for part in (
             "8,448 numbers, the paper's has 2,112",
@@ -497,17 +480,17 @@ class TestBadInput:
     def test_a_folder_that_cannot_be_written(self, data: Path, tmp_path: Path, capsys: Any) -> None:
         (tmp_path / "file").touch()
         arguments = [str(data), "--to", str(tmp_path / "file")]
-        assert module("reproduce_paper").main(arguments, load=lambda *_, **__: model()) == 2
+        assert reproduce_paper.main(arguments, load=lambda *_, **__: model()) == 2
 
     def test_options_that_are_none(self) -> None:
         with pytest.raises(SystemExit) as left:
-            module("reproduce_paper").main(["--nonsense"])
+            reproduce_paper.main(["--nonsense"])
         assert left.value.code == 2
 
 
-def test_help_names_every_option(tmp_path: Path) -> None:
-    command = [sys.executable, str(BENCHMARKS / "reproduce_paper.py"), "--help"]
-    told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+def test_help_names_every_option() -> None:
+    command = [sys.executable, "-m", "benchmarks.paper.reproduce", "--help"]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for option in (
         "--msls-val",
         "--nordland",
@@ -531,13 +514,15 @@ def test_the_script_takes_folders_from_where_one_is(tmp_path: Path) -> None:
     (root / "scripts" / "env").write_text(
         'cd "$(dirname "${BASH_SOURCE[0]}")/.."\nexport PATH="$PWD/bin:$PATH"\n'
     )
-    (root / "bin" / "python").write_text('#!/bin/sh\npwd\nprintf "%s\\n" "$@"\nexit 7\n')
+    (root / "bin" / "python").write_text('#!/bin/sh\npwd\nprintf "%s\\n" "$PYTHONPATH" "$@"\nexit 7\n')
     (root / "bin" / "python").chmod(0o755)
     command = ["bash", "../a checkout/scripts/reproduce-paper", "my sets", "--only", "full"]
-    ran = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    ran = subprocess.run(command, cwd=here, env=own, capture_output=True, text=True, check=False)
     assert ran.stdout.splitlines() == [
         str(here),
-        str(root / "benchmarks" / "reproduce_paper.py"),
+        str(root),
+        *("-P", "-m", "benchmarks.paper.reproduce"),
         *("my sets", "--only", "full"),
     ]
     assert ran.returncode == 7

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
-
-@pytest.fixture
-def section(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    yield importlib.import_module("results_sets").section
-    sys.modules.pop("results_sets")
+from benchmarks.accuracy import results
+from benchmarks.accuracy.results_sets import section
 
 
 def figure(model: str, first: float, *, of: str = "street", date: str = "2026-01-02") -> str:
@@ -41,7 +31,7 @@ def figure(model: str, first: float, *, of: str = "street", date: str = "2026-01
     return json.dumps(told)
 
 
-def test_a_table_a_set_with_intervals(section: Any, tmp_path: Path) -> None:
+def test_a_table_a_set_with_intervals(tmp_path: Path) -> None:
     file = tmp_path / "models.jsonl"
     lines = [
         figure("mine", 10.0),
@@ -67,18 +57,14 @@ def test_a_table_a_set_with_intervals(section: Any, tmp_path: Path) -> None:
     assert "salad-lite `print-salad-lite`" in told
 
 
-def test_a_line_that_is_no_figure_is_refused(section: Any, tmp_path: Path) -> None:
+def test_a_line_that_is_no_figure_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "models.jsonl"
     file.write_text("{\n")
     with pytest.raises(ValueError, match="Expecting"):
         section(file)
 
 
-def test_a_grid_without_a_result_keeps_what_the_page_says_of_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    results = importlib.import_module("results")
+def test_a_grid_without_a_result_keeps_what_the_page_says_of_it(tmp_path: Path) -> None:
     nowhere = (["parts", "sizes"], tmp_path, tmp_path / "models.jsonl", tmp_path)
     first = results.page(*nowhere)
     assert first.count("There is no result of this grid yet.") == 2

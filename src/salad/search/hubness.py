@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Mean: TypeAlias = npt.NDArray[np.float64]
 
-SHARE = 0.5  # of the mean: benchmarks/centring.py compares others
+SHARE = 0.5  # of the mean: benchmarks/accuracy/centring.py compares others
 MOST = 4096  # rows that a mean is taken of: its error is then a hundredth of a descriptor's length
 _STEP = 256  # rows or queries widened at once
 _NUMBERS = 1 << 22  # numbers in a block where all rows count

@@ -1,6 +1,6 @@
 """SALAD's aggregator against one that builds the 4-D tensor [batch, cluster_dim, clusters, tokens].
 
-    python benchmarks/aggregator.py [--batch 8] [--rounds 15] [--json FILE]
+    python -m benchmarks.speed.aggregator [--batch 8] [--rounds 15] [--json FILE]
 
 All have the same weights and give the same descriptors (checked first); they differ in how tokens are summed
 per cluster. The 4-D tensor is built in two ways: "lean" multiplies features and plan by broadcasting, so that
@@ -12,11 +12,9 @@ of its own, the highest resident memory above what it was once model and inputs 
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import json
 import multiprocessing
-import platform
 import resource
 import statistics
 import sys
@@ -25,6 +23,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from benchmarks.machine import machine
+from benchmarks.options import benchmark_parser
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -150,21 +150,13 @@ def _in_bfloat16(run: Callable[[], Tensor]) -> Tensor:
         return run()
 
 
-def machine() -> str:
-    """The processor's name."""
-    listed = Path("/proc/cpuinfo")
-    names = listed.read_text().splitlines() if listed.is_file() else []
-    found = next((line.split(":", 1)[1].strip() for line in names if line.startswith("model name")), "")
-    return found or platform.processor() or platform.machine()
-
-
 def _verdict(met: bool) -> str:
     return "met" if met else "missed"
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())

@@ -1,6 +1,6 @@
 """How long a photo takes: decoding and squeezing it, and describing it, each by itself.
 
-    python benchmarks/describe.py [MODEL ...] [--photos 48] [--threads 1]
+    python -m benchmarks.speed.describe [MODEL ...] [--photos 48] [--threads 1]
 
 The photos are drawn (480 x 360 JPEG), so anyone can repeat it. Models take turns in one process and the median of
 the rounds is shown; compare them with one another rather than with another machine's.
@@ -8,7 +8,6 @@ the rounds is shown; compare them with one another rather than with another mach
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import statistics
 import tempfile
@@ -17,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from aggregator import machine
+from benchmarks.machine import machine
+from benchmarks.options import benchmark_parser
 
 import salad
 from salad.demo.town.town import draw_town
@@ -35,8 +35,7 @@ def milliseconds(run: Callable[[], object], photos: int) -> float:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", nargs="*", default=["salad-lite"], metavar="MODEL")
+    parser = benchmark_parser(__doc__, models=["salad-lite"])
     parser.add_argument("--photos", type=int, default=48)
     parser.add_argument("--threads", type=int, default=1)
     asked = parser.parse_args()

@@ -1,6 +1,6 @@
 """Fit a model's calibration on places held out of its training, and measure it on the evaluation photos.
 
-    python benchmarks/calibration.py [--model salad-lite] [--plain] [--write DIR] [--svg docs/reliability.svg]
+    python -m benchmarks.accuracy.calibration [--model salad-lite] [--plain] [--write DIR] [--svg docs/reliability.svg]
 
 Fitted on the training photos alone. The index: street photos of one city, all of the places that were trained on
 and the older ones of the places held out. The queries: the newest photos of the places held out, once as they are
@@ -12,7 +12,6 @@ the calibration into a model's folder.
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import sys
 from collections.abc import Sequence
@@ -22,8 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from aggregator import machine
-from reliability import diagram
+from benchmarks.accuracy.reliability_diagram import diagram
+from benchmarks.machine import machine
+from benchmarks.options import DATA, benchmark_parser
 
 import salad
 from salad.datasets.places import find_places
@@ -48,7 +48,6 @@ from salad.search.exact import ExactSearcher
 from salad.search.hubness import Centred, mean_of_all
 from salad.training.recipe import PRESETS, preset
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEED, K, NEWEST, STRANGERS = 0, 5, 4, 10  # newest: queries of a place; strangers: photos of a place elsewhere
 APART_M = 25.0  # a place's photos in the index are taken out with whatever stands this close to the query
 PRECISION = 0.95
@@ -224,9 +223,10 @@ def fitting(here: Question, far: Question) -> dict[str, list[Case]]:
 def provenance(model: Describer, here: Question, far: Question, city: str) -> str:
     """What the numbers were fitted on."""
     return (
-        f"benchmarks/calibration.py, {datetime.date.today()}, model {model.fingerprint}: {len(here.names)} queries of "
-        f"{len(set(here.names))} places held out of {city}, beside {len(here.index.photos)} and {here.own} photos and "
-        f"one of each place, with and without their place, and {len(far.names)} photos of elsewhere"
+        f"benchmarks/accuracy/calibration.py, {datetime.date.today()}, model {model.fingerprint}: {len(here.names)} "
+        f"queries of {len(set(here.names))} places held out of {city}, beside {len(here.index.photos)} and "
+        f"{here.own} photos and one of each place, with and without their place, and {len(far.names)} photos of "
+        "elsewhere"
     )
 
 
@@ -245,12 +245,9 @@ def measured(model: Describer, data: Path, calibration: Calibration) -> Predicti
 
 def main() -> None:
     """Fit, measure, print; write what is asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__, data=DATA)
     parser.add_argument("--model", default="salad-lite", help="whatever `salad.load` takes")
     parser.add_argument("--plain", action="store_true", help="scores of descriptors as they are, not centred")
-    parser.add_argument("--data", type=Path, default=DATA, help="holds train/ and eval/")
     parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
     parser.add_argument(
         "--write", type=Path, metavar="DIR", help="a model's folder to put the calibration into"

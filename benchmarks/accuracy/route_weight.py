@@ -1,7 +1,7 @@
 """How much a layout should weigh beside SALAD's descriptor: precision on the places held out of the training photos.
 
     salad train --preset salad-lite-route --data ../shared/data/train --to runs/route
-    python benchmarks/route_weight.py runs/route/model [--data ../shared/data/train]
+    python -m benchmarks.accuracy.route_weight runs/route/model [--data ../shared/data/train]
 
 Every weight is measured with the same trained parts, since a descriptor can be taken apart again. Webcams (amos-15),
 walks repeated from the same spots (grief-10) and streets driven again (sfxl-240) show what a camera that looks the same
@@ -12,11 +12,11 @@ evaluation photo takes part.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
-from held_out import DATA, told
+from benchmarks.accuracy.held_out import told
+from benchmarks.options import TRAIN, benchmark_parser
 from jaxtyping import Float32
 
 from salad.datasets.places import find_places
@@ -43,11 +43,8 @@ def parts_of(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__, data=TRAIN)
     parser.add_argument("model", type=Path)
-    parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--weights", type=float, nargs="+", default=WEIGHTS)
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite-route"].recipe

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from held_out import DATA
+from benchmarks.options import TRAIN
 from numpy.typing import NDArray
 from torch.nn import functional as F
 
@@ -38,7 +38,7 @@ def untrained(pooling: str = "gem") -> Describer:
     model = build(replace(preset.model, name=f"salad-lite-untrained-{pooling}", aggregator=pooled))
     start_backbone(model, preset.start)
     if needs_fitting(model):
-        photos = [photo for place in find_places(DATA) for photo in place.photos]
+        photos = [photo for place in find_places(TRAIN) for photo in place.photos]
         fit(model, photos, seed=0)
     return model
 

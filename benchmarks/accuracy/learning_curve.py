@@ -1,6 +1,6 @@
 """What `salad train --preset small` learns, step by step, in how many minutes.
 
-    python benchmarks/learning_curve.py [--to runs/curve] [--data ...] [--eval ...] [--seed 0] [-- TRAIN OPTIONS]
+    python -m benchmarks.accuracy.learning_curve [--to runs/curve] [--data ...] [--eval ...] [-- OPTIONS OF salad train]
 
 Runs the command itself, as anybody would, and takes a copy of its checkpoint whenever it writes one. When the
 command has ended, the untrained head on the same backbone, every copy and the model that was kept are measured on
@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from evaluate_shared import ROOT, machine
+from benchmarks.machine import machine
+from benchmarks.options import EVAL, RUNS, TRAIN, benchmark_parser
 
 from salad.datasets.benchmark import Benchmark, from_radius
 from salad.evaluation.evaluate import evaluate
@@ -137,14 +138,11 @@ def table(told: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    shared = ROOT.parent / "shared" / "data"
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--preset", default="small")
-    parser.add_argument("--data", type=Path, default=shared / "train" / "sfxl-240")
-    parser.add_argument("--eval", type=Path, default=shared / "eval" / "sfxl-30")
-    parser.add_argument("--to", type=Path, default=ROOT / "runs" / "curve")
+    parser.add_argument("--data", type=Path, default=TRAIN / "sfxl-240")
+    parser.add_argument("--eval", type=Path, default=EVAL / "sfxl-30")
+    parser.add_argument("--to", type=Path, default=RUNS / "curve")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("train", nargs="*", help="further options of `salad train`, after --")
     asked = parser.parse_args()

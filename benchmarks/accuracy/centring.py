@@ -1,24 +1,23 @@
-"""What it is worth to leave out of scores what all photos of an index have in common, and how much of it to leave out.
+r"""What it is worth to leave out of scores what all photos of an index have in common, and how much of it to leave out.
 
-    python benchmarks/centring.py [MODEL ...] [--data ../shared/data/train]
-    python benchmarks/centring.py runs/heads/amos-15-vcl-10/lite2-128x64-lite-mixed-4-0/model --sets amos-15 vcl-10
+    python -m benchmarks.accuracy.centring [MODEL ...] [--data ../shared/data/train]
+    python -m benchmarks.accuracy.centring runs/heads/amos-15-vcl-10/lite2-128x64-lite-mixed-4-0/model \
+        --sets amos-15 vcl-10
 
 Each set of training photos is an index of its own: the newest photos of every place that was held out of the training
 are the queries, all other photos of these places the index. With `--sets` all places of these sets take part instead,
-for a model that learnt without them (`benchmarks/heads.py` makes such). Mean average precision in percent, by the share
+for a model that learnt without them (`heads.py` makes such). Mean average precision in percent, by the share
 of the index's mean that queries are moved by; `cosine` is that of descriptors with the mean taken from both sides. No
 evaluation photo takes part.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from held_out import DATA
+from benchmarks.options import SHIPPED, TRAIN, benchmark_parser
 
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
@@ -74,16 +73,10 @@ def measured(name: str, places: Sequence[TrainingPlace]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "models", nargs="*", default=["salad-lite", "salad-lite-route", "salad-vits"], metavar="MODEL"
-    )
+    parser = benchmark_parser(__doc__, data=TRAIN, models=SHIPPED)
     parser.add_argument(
         "--sets", nargs="+", metavar="SET", help="how the names of sets begin that it never saw"
     )
-    parser.add_argument("--data", type=Path, default=DATA)
     asked = parser.parse_args()
     places, recipe = find_places(asked.data), PRESETS["salad-lite"].recipe
     if asked.sets:

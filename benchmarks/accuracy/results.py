@@ -1,8 +1,8 @@
 """The grids on the photos beside the checkout, and the page of what came of them and of the models that ship.
 
-    python benchmarks/results.py run [GRID ...] [--sets NAME,...] [--to runs/grids] [-- OPTIONS OF salad compare]
-    python benchmarks/evaluate_shared.py --json runs/models.jsonl
-    python benchmarks/results.py write [--from runs/grids] [--models runs/models.jsonl]
+    python -m benchmarks.accuracy.results run [GRID ...] [--sets NAME,...] [-- OPTIONS OF salad compare]
+    python -m benchmarks.accuracy.recall --json runs/models.jsonl
+    python -m benchmarks.accuracy.results write [--from runs/grids] [--models runs/models.jsonl]
 
 `run` is `salad compare` with every evaluation set that is there, one folder a grid; interrupt it as you like, it
 goes on. `write` makes the page and its pictures from the folders alone: no figure on it is typed by hand. A grid of
@@ -11,7 +11,6 @@ which there is no result here keeps what the page says of it.
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import shlex
@@ -21,15 +20,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluate_shared import SETS as EVERY
-from results_sets import section
+from benchmarks.accuracy.recall import SETS as EVERY
+from benchmarks.accuracy.results_sets import section
+from benchmarks.options import EVAL, ROOT, RUNS, TRAIN, benchmark_parser
 
 from salad.ablation.comparison_tables import write_tables
 from salad.ablation.grids import GRIDS, grid_rows
 from salad.errors import SaladError
 
-ROOT = Path(__file__).resolve().parents[1]
-SHARED = ROOT.parent / "shared" / "data"
 COMMAND = "command.json"
 SETS = [each for each in EVERY if each.name != "toy"]  # by eye, and too small to tell rows apart
 HEADINGS = {
@@ -40,7 +38,7 @@ HEADINGS = {
 }
 HEAD = """# Results
 
-Written by `python benchmarks/results.py write` from what was measured; do not edit it by hand.
+Written by `python -m benchmarks.accuracy.results write` from what was measured; do not edit it by hand.
 """
 TERMS = """## On equal terms
 
@@ -55,15 +53,14 @@ in sfxl-30 and nordland64 the camera looks the same way again.
 
 def command(grid: str, to: Path, sets: Sequence[str], more: Sequence[str]) -> list[str]:
     """`salad compare` with those of the sets that are there."""
-    options = ["compare", "--grid", grid, "--to", str(to), "--data", str(SHARED / "train")]
+    options = ["compare", "--grid", grid, "--to", str(to), "--data", str(TRAIN)]
     for each in SETS:
         if each.name not in sets:
             continue
-        folder = SHARED / "eval"
-        if not (folder / each.name).is_dir():
-            print(f"{each.name}: not at {folder}, passed over", file=sys.stderr)
+        if not (EVAL / each.name).is_dir():
+            print(f"{each.name}: not at {EVAL}, passed over", file=sys.stderr)
             continue
-        options += ["--benchmark", *map(str, each.options(folder))]
+        options += ["--benchmark", *map(str, each.options(EVAL))]
     return [*options, *more]
 
 
@@ -120,19 +117,17 @@ def _repeated(folder: Path, grid: str) -> list[str]:
         return []
     options = shlex.join(["salad", *json.loads(known.read_text(encoding="utf-8"))])
     options = options.replace(" --benchmark", " \\\n  --benchmark")
-    return [f"`python benchmarks/results.py run {grid}`, which is\n\n```\n{options}\n```\n"]
+    return [f"`python -m benchmarks.accuracy.results run {grid}`, which is\n\n```\n{options}\n```\n"]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__)
     parser.add_argument("what", choices=("run", "write"))
     parser.add_argument("grids", nargs="*", metavar="GRID", help=f"of {', '.join(GRIDS)}; all by default")
     every = [each.name for each in SETS]
     parser.add_argument("--sets", default=",".join(every), help="with commas; all by default")
-    parser.add_argument("--to", "--from", dest="runs", type=Path, default=ROOT / "runs" / "grids")
-    parser.add_argument("--models", type=Path, default=ROOT / "runs" / "models.jsonl")
+    parser.add_argument("--to", "--from", dest="runs", type=Path, default=RUNS / "grids")
+    parser.add_argument("--models", type=Path, default=RUNS / "models.jsonl")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "results.md")
     before, more = sys.argv[1:], []
     if "--" in before:

@@ -1,9 +1,9 @@
 """Which trunk and which head `salad-lite` has: what each learns of sets it never saw, and of new places of sets it did.
 
-    python benchmarks/heads.py --leave-out sfxl-240 [--seeds 1] [--steps 300] [--rows NAME ...] [--to runs/heads]
-    python benchmarks/heads.py --leave-out amos-15 vcl-10
-    python benchmarks/heads.py --leave-out sfxl-240 --rows lite2-128x64 --augment robust
-    python benchmarks/heads.py --leave-out sfxl-240 --rows lite2-128x64 --sampler cliques    # or --views 8
+    python -m benchmarks.accuracy.heads --leave-out sfxl-240 [--seeds 1] [--steps 300] [--rows NAME ...]
+    python -m benchmarks.accuracy.heads --leave-out amos-15 vcl-10
+    python -m benchmarks.accuracy.heads --leave-out sfxl-240 --rows lite2-128x64 --augment robust
+    python -m benchmarks.accuracy.heads --leave-out sfxl-240 --rows lite2-128x64 --sampler cliques    # or --views 8
 
 Whole sets are left out of the training photos. Each head is trained on cached tokens of its frozen trunk, at 224 px,
 and measured on every place of the sets left out, beside places held out of those it learnt from; mean average precision
@@ -12,13 +12,13 @@ in percent, as models are chosen by. No evaluation photo takes part.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from held_out import DATA, drawn, leave_out
+from benchmarks.accuracy.held_out import drawn, leave_out
+from benchmarks.options import RUNS, TRAIN, benchmark_parser
 
 from salad.datasets.training_place import TrainingPlace
 from salad.models.model_folder import load
@@ -38,7 +38,6 @@ from salad.training.recipe import (
 from salad.training.trainer import train
 from salad.training.validation import precision_held_out
 
-ROOT = Path(__file__).resolve().parents[1]
 ROWS: dict[str, tuple[LiteConfig, SaladConfig]] = {
     "lite0-128x16": (LiteConfig(), SMALL_HEAD),
     "lite2-128x16": (LITE_TRUNK, replace(SMALL_HEAD, width=LITE_HEAD.width)),
@@ -83,9 +82,7 @@ def spread(figures: Sequence[Mapping[str, float]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__, data=TRAIN)
     parser.add_argument("--leave-out", nargs="+", required=True, metavar="SET", help="how their names begin")
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--seeds", type=int, default=1)
@@ -93,8 +90,7 @@ def main() -> None:
     parser.add_argument("--augment", choices=("lite", "robust"), default="lite")
     parser.add_argument("--sampler", choices=("mixed", "cliques"), default="mixed")
     parser.add_argument("--views", type=int, default=4, help="photos of a place in a batch of 64")
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--to", type=Path, default=ROOT / "runs" / "heads")
+    parser.add_argument("--to", type=Path, default=RUNS / "heads")
     asked = parser.parse_args()
     known, unknown = leave_out(parser, asked.data, asked.leave_out)
     for row in asked.rows:

@@ -1,6 +1,6 @@
 """How large an index may grow: adding, searching, memory and disk, beside FAISS flat and a plain numpy matrix.
 
-    python benchmarks/index_size.py [--sizes 2176x10000 8448x10000 ...] [--rounds 11] [--threads 2] [--json FILE]
+    python -m benchmarks.speed.index_size [--sizes 2176x10000 8448x10000 ...] [--rounds 11] [--threads 2] [--json FILE]
 
 Descriptors are made up: unit rows around a thousand middles, so that some are as close as neighbouring photos
 are; the same seed draws the same ones. All ways get the same batches and queries and take turns in one process,
@@ -18,7 +18,6 @@ import datetime
 import json
 import multiprocessing
 import os
-import platform
 import resource
 import shutil
 import statistics
@@ -29,7 +28,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from size_ways import (
+from benchmarks.machine import machine
+from benchmarks.options import benchmark_parser
+from benchmarks.speed.index_ways import (
     BATCH,
     MAKE,
     QUERIES,
@@ -173,14 +174,6 @@ def _told(met: bool) -> str:
     return "met" if met else "missed"
 
 
-def machine() -> str:
-    """The processor's name and its cores."""
-    listed = Path("/proc/cpuinfo")
-    names = listed.read_text().splitlines() if listed.is_file() else []
-    found = next((line.split(":", 1)[1].strip() for line in names if line.startswith("model name")), "")
-    return f"{found or platform.processor() or platform.machine()}, {os.cpu_count()} cores"
-
-
 def facts(asked: argparse.Namespace) -> dict[str, Any]:
     """What is needed to repeat a figure."""
     packages = {name: release(name) for name in ("torch", "numpy", "faiss-cpu")}
@@ -189,9 +182,7 @@ def facts(asked: argparse.Namespace) -> dict[str, Any]:
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--sizes", nargs="+", default=SIZES, metavar="DIMxPHOTOS")
     parser.add_argument("--rounds", type=int, default=11)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)

@@ -1,6 +1,6 @@
 """Recall of several models on the evaluation photos beside the checkout, each figure with its protocol.
 
-    python benchmarks/evaluate_shared.py [MODEL ...] [--plain] [--data ../shared/data/eval] [--json figures.jsonl]
+    python -m benchmarks.accuracy.recall [MODEL ...] [--plain] [--data ../shared/data/eval] [--json figures.jsonl]
 
 A MODEL is a key of `describers()`, or whatever `salad.load` takes: a name of the zoo, a folder, a file. The
 photos are not part of the repository; a set that is not there is passed over with a sentence.
@@ -8,11 +8,8 @@ photos are not part of the repository; a set that is not there is passed over wi
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import json
-import os
-import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -20,13 +17,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.machine import machine
+from benchmarks.options import EVAL, benchmark_parser
+
 from salad.cli.compare import benchmark_by_rule
 from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError
 from salad.evaluation.evaluate import evaluate
 from salad.evaluation.result import Result
 
-ROOT = Path(__file__).resolve().parents[1]
 SEED = 0  # nothing here is drawn at random but the unused head of the untrained model
 KS = (1, 5, 10, 20)
 
@@ -81,19 +80,19 @@ def describers() -> Mapping[str, Callable[[], Any]]:
 
 
 def _hog() -> Any:
-    from hog import Hog
+    from benchmarks.accuracy.hog import Hog
 
     return Hog()
 
 
 def _untrained(pooling: str) -> Any:
-    from untrained import untrained
+    from benchmarks.accuracy.untrained import untrained
 
     return untrained(pooling)
 
 
 def _untrained_grid() -> Any:
-    from untrained import UntrainedGrid
+    from benchmarks.accuracy.untrained import UntrainedGrid
 
     return UntrainedGrid()
 
@@ -148,12 +147,6 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def machine() -> str:
-    """Describe the machine as far as it bears on a figure."""
-    cores = f"{os.cpu_count()} cores"
-    return f"{platform.system()} {platform.machine()}, {cores}, Python {platform.python_version()}"
-
-
 def line(row: Row) -> str:
     """Give one figure as a JSON object, with all that is needed to repeat it."""
     name, each, result = row
@@ -163,11 +156,7 @@ def line(row: Row) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("models", nargs="*", default=list(describers()), metavar="MODEL")
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "eval")
+    parser = benchmark_parser(__doc__, data=EVAL, models=list(describers()))
     parser.add_argument("--json", type=Path, help="append the JSON lines here instead of printing them")
     parser.add_argument(
         "--plain", action="store_true", help="descriptors as they are, as papers compare them"

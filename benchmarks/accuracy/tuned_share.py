@@ -1,7 +1,7 @@
 """How far to go from the weights before the backbone was trained to those after: measured on photos of another kind.
 
-    python benchmarks/tuned_share.py --leave-out amos-15 vcl-10 [--steps 300] [--to runs/tuned-share]
-    python benchmarks/tuned_share.py --leave-out amos-15 vcl-10 --augment robust    # or --sampler cliques
+    python -m benchmarks.accuracy.tuned_share --leave-out amos-15 vcl-10 [--steps 300] [--to runs/tuned-share]
+    python -m benchmarks.accuracy.tuned_share --leave-out amos-15 vcl-10 --augment robust    # or --sampler cliques
 
 Whole sets are left out of the training photos, and what was trained without them is measured on every place of theirs,
 beside places held out of the sets it did learn from. Places held out of known sets want all the way; unknown sets want
@@ -10,12 +10,12 @@ less, and the share that ships is one where neither loses. No evaluation photo t
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
 import torch
-from held_out import DATA, drawn, leave_out, told
+from benchmarks.accuracy.held_out import drawn, leave_out, told
+from benchmarks.options import RUNS, TRAIN, benchmark_parser
 
 from salad.models.describer import build
 from salad.training.batches import ImageCache
@@ -24,20 +24,16 @@ from salad.training.recipe import PRESETS
 from salad.training.trainer import train
 from salad.training.validation import precision_held_out
 
-ROOT = Path(__file__).resolve().parents[1]
 SHARES = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__, data=TRAIN)
     parser.add_argument("--leave-out", nargs="+", required=True, metavar="SET", help="how their names begin")
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--augment", choices=("lite", "robust"), default="lite")
     parser.add_argument("--sampler", choices=("mixed", "cliques"), default="mixed")
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--to", type=Path, default=ROOT / "runs" / "tuned-share")
+    parser.add_argument("--to", type=Path, default=RUNS / "tuned-share")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     known, unknown = leave_out(parser, asked.data, asked.leave_out)

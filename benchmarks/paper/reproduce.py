@@ -5,9 +5,9 @@
 DATA is a folder that holds the data sets, each in a folder of its own in whatever layout it came; or name them with
 --msls-val, --nordland, --pitts250k and --sped. `salad datasets` tells where to get them. What is not there is said and
 passed over. The full model and the bare backbone are fetched by name; the medium and the small one are files you
-give. --runs is a folder of `salad compare` or of `benchmarks/results.py`: every model it holds is a row. The other
-methods of the first table run in their own code: `salad evaluate --descriptors ... --save FILE` judges what that gives,
-and --result METHOD FILE puts it in.
+give. --runs is a folder of `salad compare` or of `benchmarks/accuracy/results.py`: every model it holds is a row. The
+other methods of the first table run in their own code: `salad evaluate --descriptors ... --save FILE` judges what that
+gives, and --result METHOD FILE puts it in.
 
 Descriptors are kept in TO/descriptors (gigabytes), so that the same command goes on where it was stopped. TO gets
 reproduction.md and reproduction.json after every figure, and each whole result for `salad compare A.json B.json`.
@@ -26,11 +26,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluate_shared import machine
-from paper_figures import METHODS, first, protocols
-from paper_page import Figure, Judged, Report
-from paper_rows import FULL, Row, check_given, rows, unlike
-from paper_sets import find_set
+from benchmarks.machine import machine
+from benchmarks.options import RUNS
+from benchmarks.paper.figures import METHODS, first, protocols
+from benchmarks.paper.page import Figure, Judged, Report
+from benchmarks.paper.rows import FULL, Row, check_given, rows, unlike
+from benchmarks.paper.sets import find_set
 
 from salad.cli import shell
 from salad.cli.arguments import positive
@@ -44,7 +45,6 @@ from salad.files import write_whole
 if TYPE_CHECKING:
     from salad.models.describer import Describes
 
-ROOT = Path(__file__).resolve().parents[1]
 OPTIONS = {
     "msls-val-740": "msls_val",
     "nordland-1f": "nordland",
@@ -212,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
         help="one of the table, judged before",
     )
     parser.add_argument("--only", action="append", metavar="ROW", help="a row by name, where not all")
-    parser.add_argument("--to", type=Path, default=ROOT / "runs" / "paper", metavar="DIR")
+    parser.add_argument("--to", type=Path, default=RUNS / "paper", metavar="DIR")
     parser.add_argument("--device", default="cpu", help="where models run, as torch names it")
     parser.add_argument("--batch-size", type=int, default=16, metavar="N")
     parser.add_argument("--any-size", action="store_true", help="take parts of sets, compared with nothing")

@@ -1,6 +1,6 @@
 """What a model reaches as its dustbin takes less or more of the tokens, nothing learnt anew.
 
-    python benchmarks/dustbin_share.py [MODEL ...] [--shares 0.1 0.35 0.68] [--data ../shared/data]
+    python -m benchmarks.accuracy.dustbin_share [MODEL ...] [--shares 0.1 0.35 0.68] [--data ../shared/data]
 
 Precision on the places held out of the training, then R@1 on the evaluation sets of some hundred photos, plain / with
 scores centred. It shows what the dustbin is good for; a model that ships has the share it was trained with.
@@ -8,14 +8,14 @@ scores centred. It shows what the dustbin is good for; a model that ships has th
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from evaluate_shared import SETS
-from held_out import DATA, told
+from benchmarks.accuracy.held_out import told
+from benchmarks.accuracy.recall import SETS
+from benchmarks.options import DATA, benchmark_parser
 
 from salad.datasets.places import find_places
 from salad.evaluation.evaluate import evaluate
@@ -60,12 +60,8 @@ def recalls(model: Describer, data: Path) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("models", nargs="*", default=["salad-lite"], metavar="MODEL")
+    parser = benchmark_parser(__doc__, data=DATA, models=["salad-lite"])
     parser.add_argument("--shares", nargs="+", type=float, default=list(SHARES), metavar="SHARE")
-    parser.add_argument("--data", type=Path, default=DATA.parent, help="holds train/ and eval/")
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite"].recipe
     _, held_out = recipe.split(find_places(asked.data / "train"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from paper_figures import DEPTH, SIDE, WIDTH, Claim, claim, first
+from benchmarks.paper.figures import DEPTH, SIDE, WIDTH, Claim, claim, first
 
 from salad.ablation.grids import GRIDS
 from salad.ablation.run_result import read_result

@@ -1,6 +1,6 @@
 """What help for a query is worth: describing it twice, or leaving out of its scores what all photos of the index share.
 
-    python benchmarks/query_help.py [--model salad-lite]
+    python -m benchmarks.accuracy.query_help [--model salad-lite]
 
 On the photos that `calibration.py` fits on, places held out of training; never on evaluation photos. Each way gets
 a calibration of its own, so that it is compared at its best; what is printed of it is out of fold.
@@ -8,16 +8,15 @@ a calibration of its own, so that it is compared at its best; what is printed of
 
 from __future__ import annotations
 
-import argparse
 import datetime
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from aggregator import machine
-from calibration import APART_M, DATA, SEED, Question, Shown, fitting, held_out
-from centring import unit
+from benchmarks.accuracy.calibration import APART_M, SEED, Question, Shown, fitting, held_out
+from benchmarks.accuracy.centring import unit
+from benchmarks.machine import machine
+from benchmarks.options import DATA, benchmark_parser
 from PIL import Image, ImageOps
 
 import salad
@@ -76,11 +75,8 @@ def metres_off(case: Case) -> float:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__, data=DATA)
     parser.add_argument("--model", default="salad-lite", help="whatever `salad.load` takes")
-    parser.add_argument("--data", type=Path, default=DATA, help="holds train/")
     parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
     asked = parser.parse_args()
     model = salad.load(asked.model)

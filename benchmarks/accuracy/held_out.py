@@ -1,6 +1,6 @@
 """The figure that the models which ship were chosen by: precision on the places held out of the training photos.
 
-    python benchmarks/held_out.py [MODEL ...] [--data ../shared/data/train]
+    python -m benchmarks.accuracy.held_out [MODEL ...] [--data ../shared/data/train]
 
 As `salad train` prints it on its way, in float32: the mean over the sets of the mean average precision with which the
 newest photos of each place find the others of it.
@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.options import SHIPPED, TRAIN, benchmark_parser
+
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.models.model_folder import load
@@ -20,7 +22,6 @@ from salad.training.batches import ImageCache
 from salad.training.recipe import PRESETS, Augment, Recipe, Sampling
 from salad.training.validation import precision_held_out
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "train"
 MINED_EVERY = 100  # steps, for batches of places that look alike
 
 
@@ -48,13 +49,7 @@ def drawn(recipe: Recipe, augment: Augment, sampler: Sampling) -> Recipe:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "models", nargs="*", default=["salad-lite", "salad-lite-route", "salad-vits"], metavar="MODEL"
-    )
-    parser.add_argument("--data", type=Path, default=DATA)
+    parser = benchmark_parser(__doc__, data=TRAIN, models=SHIPPED)
     asked = parser.parse_args()
     recipe = PRESETS["salad-lite"].recipe
     _, held_out = recipe.split(find_places(asked.data))

@@ -1,6 +1,6 @@
 """How long ranking takes, and how much memory, where the references are a million.
 
-    python benchmarks/judge_size.py [--references 1000000] [--queries 1000] [--dim 512] [--json figures.jsonl]
+    python -m benchmarks.speed.evaluate [--references 1000000] [--queries 1000] [--dim 512] [--json figures.jsonl]
 
 References are made up and written to a file in a temporary folder first, and read from there block by block, as
 descriptors from outside are: so the memory is what judging takes, not what making them up did. Each query is
@@ -9,7 +9,6 @@ the noisy double of a reference that must come first: figures of a wrong ranking
 
 from __future__ import annotations
 
-import argparse
 import json
 import platform
 import resource
@@ -19,6 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from benchmarks.options import benchmark_parser
 
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.compact_lists import PhotoList, Ragged
@@ -30,9 +30,7 @@ _STEP = 10_000  # references made up at once
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--references", type=int, default=1_000_000)
     parser.add_argument("--queries", type=int, default=1_000)
     parser.add_argument("--dim", type=int, default=512)

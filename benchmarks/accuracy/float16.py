@@ -1,6 +1,6 @@
 """Whether storing descriptors as float16 changes the first answer on any evaluation set beside the checkout.
 
-    python benchmarks/half.py [MODEL ...] [--data ../shared/data/eval]
+    python -m benchmarks.accuracy.float16 [MODEL ...] [--data ../shared/data/eval]
 
 Queries stay in float32, as in a search; references are compared once as the model gives them and once as the
 index stores them, both scored in float64. A tie is a changed answer between references whose float32 scores lie
@@ -9,15 +9,15 @@ within float32's own rounding of one another: there no storage could tell which 
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from evaluate_shared import ROOT, SETS, describers, machine
+from benchmarks.accuracy.recall import SETS, describers
+from benchmarks.machine import machine
+from benchmarks.options import EVAL, benchmark_parser
 
 import salad
 from salad.images.photo import Photo
@@ -53,11 +53,7 @@ def compared(queries: Floats, references: Floats) -> tuple[int, int, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("models", nargs="*", default=["salad-lite"], metavar="MODEL")
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "eval")
+    parser = benchmark_parser(__doc__, data=EVAL, models=["salad-lite"])
     asked = parser.parse_args()
     print(f"{machine()}, numpy {np.__version__}, {datetime.date.today()}; nothing is drawn at random")
     print(

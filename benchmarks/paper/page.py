@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from paper_figures import SOURCE, Claim
+from benchmarks.paper.figures import SOURCE, Claim
 
 from salad.datasets.protocols import PROTOCOLS
 from salad.evaluation.bootstrap import Interval

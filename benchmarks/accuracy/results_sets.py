@@ -38,7 +38,7 @@ def section(figures: Path) -> str:
     """The part of the page; the last figure of a model on a set counts.
 
     Raises:
-        ValueError: a line is not what `evaluate_shared.py --json` writes.
+        ValueError: a line is not what `recall.py --json` writes.
     """
     lines = [json.loads(line) for line in figures.read_text(encoding="utf-8").splitlines() if line.strip()]
     last: dict[tuple[str, str], Figure] = {(one["set"], one["model"]): one for one in lines}
@@ -49,7 +49,7 @@ def section(figures: Path) -> str:
     prints = "; ".join(f"{name} `{fingerprint}`" for name, fingerprint in models.items())
     dates = sorted({one["date"] for one in last.values()})
     parts.append(
-        f"`python benchmarks/evaluate_shared.py --json {figures.name}`, {lines[-1]['machine']}, "
+        f"`python -m benchmarks.accuracy.recall --json {figures.name}`, {lines[-1]['machine']}, "
         f"seed {lines[-1]['seed']}, {' to '.join(dict.fromkeys((dates[0], dates[-1])))}. Fingerprints: {prints}.\n"
     )
     return "\n".join(parts)
