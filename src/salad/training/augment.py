@@ -5,9 +5,7 @@ Every change works on tensors, draws from torch's own chance, and gives photos i
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from jaxtyping import Float
@@ -16,20 +14,142 @@ from torch.nn import functional as F
 
 from salad.errors import MissingExtraError, ModelError
 
-# --- Night and fog, as they change a street: a few lines each, drawn afresh for every photo they fall on ---
-
-
 Photos = Float[Tensor, "batch 3 height width"]
+Augmentation = Literal["lite", "paper", "robust", "none"]
+CUTTING: frozenset[Augmentation] = frozenset({"lite", "robust"})
+"""Those that cut the photo they make out of the one they are given, which may be larger."""
 
 _LUMA = (0.299, 0.587, 0.114)  # how bright red, green and blue look
 _LAMPS = 3  # most street lamps in a photo
+_SHEAR = 0.095  # kornia takes fractions of half a turn: at 9 of 30 this is the 5 degrees that others have
+
+
+def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
+    """Photos in 0..1 -> photos as another camera might have taken them, fresh at every call.
+
+    Args:
+        name: `lite`, as the model that ships was trained; `paper`, RandAugment of three operations; `robust`,
+            also night, fog, snow, rain and compression; `none`.
+        height: of the photos made, in pixels; but for those that are cutting, of the photos given too.
+        width: the same.
+
+    Raises:
+        MissingExtraError: If kornia is not installed.
+        ModelError: If there is none of that name.
+    """
+    changes: list[nn.Module] = []
+    if name == "lite":
+        changes = lite_changes(height, width)
+    elif name == "paper":
+        changes = paper_changes()
+    elif name == "robust":
+        changes = robust_changes(height, width)
+    elif name != "none":
+        raise ModelError(
+            f"there is no augmentation {name!r}: choose one of {', '.join(get_args(Augmentation))}"
+        )
+    together = nn.Sequential(*changes, WithinRange())
+    return together.requires_grad_(False)  # kornia's policies carry numbers that could be learnt
+
+
+def lite_changes(height: int, width: int) -> list[nn.Module]:
+    """Nothing here may change, nor its order: the weights that ship must come out of it again."""
+    k = _kornia()
+    return [
+        # viewpoint: a little nearer, to the side, tilted; what is much nearer is another place along the road
+        k.RandomResizedCrop((height, width), scale=(0.65, 1.0), ratio=(0.75, 1.33)),
+        k.RandomPerspective(0.3, p=0.4),
+        k.RandomAffine(8, translate=(0.1, 0.1), scale=(0.85, 1.1), shear=8, padding_mode="reflection", p=0.4),
+        # light: time of day, exposure, white balance, grey cameras
+        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.4, p=0.5),
+        k.RandomGamma((0.4, 2.5), p=0.3),
+        k.RandomPlanckianJitter(p=0.2),
+        k.RandomGrayscale(p=0.15),
+        # camera
+        LowResolution(),
+        k.RandomGaussianBlur((7, 7), (0.3, 2.0), p=0.15),
+        k.RandomGaussianNoise(std=0.04, p=0.25),
+        # what stands in the way
+        k.RandomErasing(scale=(0.02, 0.25), p=0.3),
+    ]
+
+
+def paper_changes() -> list[nn.Module]:
+    """RandAugment with three operations at the usual magnitude, 9 of 30; each photo draws its own.
+
+    The operations are those of torchvision's RandAugment, in its ranges.
+
+    Source: Cubuk et al., "RandAugment: Practical automated data augmentation with a reduced search space", 2020.
+    """
+    _kornia()
+    from kornia.augmentation.auto import RandAugment
+
+    moves = {"rotate": 30.0, "shear_x": _SHEAR, "shear_y": _SHEAR, "translate_x": 0.45, "translate_y": 0.45}
+    others = [
+        ("auto_contrast", 0.0, 1.0),
+        ("equalize", 0.0, 1.0),
+        ("posterize", 4.0, 8.0),
+        ("solarize", 0.57, 1.0),
+    ]
+    # kornia goes `m` / 30 of the way from the first bound to the second, and knows one direction at a time: so a
+    # photo is given to one of two, of which one brightens and the other darkens.
+    both = []
+    for least, most in ((1.0, 1.9), (0.61, 1.0)):
+        lights = [(name, least, most) for name in ("brightness", "color", "contrast", "sharpness")]
+        operations = [*lights, *((name, -far, far) for name, far in moves.items()), *others]
+        both.append(RandAugment(n=3, m=9, policy=[[operation] for operation in operations]))
+    return [OneByOne(*both)]
+
+
+def robust_changes(height: int, width: int) -> list[nn.Module]:
+    """More of everything, and night and weather: for photos unlike those a model has learnt from."""
+    k = _kornia()
+    rain: list[nn.Module] = []
+    longest, aside = height // 12, width // 40  # pixels of a streak
+    if longest >= 2:  # a smaller photo has no room for streaks
+        drops = max(1, height * width // 300)
+        rain.append(
+            k.RandomRain(
+                number_of_drops=(drops // 3, drops),
+                drop_height=(longest // 2, longest),
+                drop_width=(-aside, aside),
+                p=0.08,
+            )
+        )
+    return [
+        # viewpoint
+        k.RandomResizedCrop((height, width), scale=(0.3, 1.0), ratio=(0.6, 1.66)),
+        k.RandomPerspective(0.5, p=0.4),
+        k.RandomAffine(
+            10, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4
+        ),
+        # weather and hour
+        Fog(p=0.12),
+        k.RandomSnow(snow_coefficient=(0.1, 0.5), brightness=(1.2, 2.5), p=0.08),
+        *rain,
+        Night(p=0.2),
+        # light
+        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.5, hue=0.03, p=0.5),
+        k.RandomGamma((0.4, 2.5), p=0.25),
+        k.RandomPlanckianJitter(p=0.2),
+        k.RandomGrayscale(p=0.15),
+        # camera
+        LowResolution(),
+        k.RandomGaussianBlur((7, 7), (0.3, 2.5), p=0.15),
+        k.RandomMotionBlur((3, 9), 90.0, (-1.0, 1.0), p=0.1),
+        k.RandomGaussianNoise(std=0.05, p=0.25),
+        WithinRange(),  # JPEG is of whole numbers within a byte
+        k.RandomJPEG(jpeg_quality=(8.0, 60.0), p=0.3),
+        # what stands in the way
+        k.RandomErasing(scale=(0.02, 0.3), p=0.35),
+    ]
 
 
 class Sometimes(nn.Module):
-    """A change that happens to a random share of the photos; the others stay as they are.
+    """A change that happens to a random fraction of the photos; the others stay as they are.
 
     Args:
-        p: the share, 0..1.
+        p: the fraction, 0..1.
     """
 
     def __init__(self, *, p: float) -> None:
@@ -37,7 +157,7 @@ class Sometimes(nn.Module):
         self.p = p
 
     def forward(self, photos: Photos) -> Photos:
-        """Change a random share of the photos."""
+        """Change as many as chance takes."""
         taken = torch.nonzero(torch.rand(len(photos)) < self.p).flatten().to(photos.device)
         out = photos.clone()
         if len(taken):
@@ -64,9 +184,21 @@ class Night(Sometimes):
         grey = (dark * photos.new_tensor(_LUMA).view(1, 3, 1, 1)).sum(dim=1, keepdim=True)
         faded = torch.lerp(dark, grey, _drawn(photos, 0.2, 0.8))
         warm = [_drawn(photos, 1.0, 1.3), _drawn(photos, 0.8, 1.0), _drawn(photos, 0.4, 0.9)]
-        lit = faded * torch.cat(warm, dim=1) * (1 + _lamps(photos) * _drawn(photos, 0.5, 3.0))
+        lit = faded * torch.cat(warm, dim=1) * (1 + self._lamps(photos) * _drawn(photos, 0.5, 3.0))
         noise = torch.randn(photos.shape).to(photos) * _drawn(photos, 0.0, 0.06)
         return (lit + noise).clamp(0, 1)
+
+    @staticmethod
+    def _lamps(photos: Photos) -> Float[Tensor, "batch 1 height width"]:
+        """Up to three round glows in the upper half of each photo, 0..1 each."""
+        rows = torch.linspace(0, 1, photos.shape[-2]).to(photos).view(1, 1, -1, 1)
+        columns = torch.linspace(0, 1, photos.shape[-1]).to(photos).view(1, 1, 1, -1)
+        glow = photos.new_zeros(len(photos), 1, *photos.shape[-2:])
+        for _ in range(_LAMPS):
+            y, x, radius = _drawn(photos, 0.0, 0.6), _drawn(photos, 0.0, 1.0), _drawn(photos, 0.03, 0.3)
+            lit = (_drawn(photos, 0.0, 1.0) < 0.6).to(photos)
+            glow = glow + lit * torch.exp(-((rows - y) ** 2 + (columns - x) ** 2) / (2 * radius**2))
+        return glow
 
 
 class Fog(Sometimes):
@@ -80,44 +212,25 @@ class Fog(Sometimes):
         return torch.lerp(photos, _drawn(photos, 0.6, 0.95), thick.expand_as(photos[:, :1]))
 
 
-def _lamps(photos: Photos) -> Float[Tensor, "batch 1 height width"]:
-    """Up to three round glows in the upper half of each photo, 0..1 each."""
-    rows = torch.linspace(0, 1, photos.shape[-2]).to(photos).view(1, 1, -1, 1)
-    columns = torch.linspace(0, 1, photos.shape[-1]).to(photos).view(1, 1, 1, -1)
-    glow = photos.new_zeros(len(photos), 1, *photos.shape[-2:])
-    for _ in range(_LAMPS):
-        high, aside, wide = _drawn(photos, 0.0, 0.6), _drawn(photos, 0.0, 1.0), _drawn(photos, 0.03, 0.3)
-        lit = (_drawn(photos, 0.0, 1.0) < 0.6).to(photos)
-        glow = glow + lit * torch.exp(-((rows - high) ** 2 + (columns - aside) ** 2) / (2 * wide**2))
-    return glow
+class LowResolution(Sometimes):
+    """Some photos come as thumbnails: shrink each to a random size and blow it up again.
 
-
-def _drawn(photos: Photos, low: float, high: float) -> Float[Tensor, "batch 1 1 1"]:
-    """A number for each photo, drawn on the processor so that every device sees the same."""
-    return (low + (high - low) * torch.rand(len(photos), 1, 1, 1)).to(photos)
-
-
-_SHEAR = 0.095  # kornia takes shares of half a turn: at 9 of 30 this is the 5 degrees that others have
-
-Augmentation = Literal["lite", "paper", "robust", "none"]
-CUTTING: frozenset[Augmentation] = frozenset({"lite", "robust"})
-"""Those that cut the photo they make out of the one they are given, which may be larger."""
-
-
-class LowResolution(nn.Module):
-    """Some photos come as thumbnails: shrink a share of them to a random size and blow them up again."""
+    Args:
+        p: the fraction of photos it happens to.
+        smallest: least factor that a photo is shrunk by.
+        largest: greatest.
+    """
 
     def __init__(self, *, p: float = 0.3, smallest: float = 0.15, largest: float = 0.6) -> None:
-        super().__init__()
-        self.p, self.smallest, self.largest = p, smallest, largest
+        super().__init__(p=p)
+        self.smallest, self.largest = smallest, largest
 
-    def forward(self, photos: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
-        """Coarsen a random share of the photos."""
-        size = photos.shape[-2:]
-        out = photos.clone()
-        for number in torch.nonzero(torch.rand(len(photos)) < self.p).flatten().tolist():
-            share = float(torch.empty(1).uniform_(self.smallest, self.largest))
-            small = [max(8, int(side * share)) for side in size]
+    def changed(self, photos: Photos) -> Photos:
+        """Photos as of a poor camera."""
+        size, out = photos.shape[-2:], torch.empty_like(photos)
+        for number in range(len(photos)):  # one by one: each has a size of its own
+            factor = float(torch.empty(1).uniform_(self.smallest, self.largest))
+            small = [max(8, int(side * factor)) for side in size]
             coarse = F.interpolate(photos[number : number + 1], size=small, mode="bilinear", antialias=True)
             out[number] = F.interpolate(coarse, size=size, mode="bilinear")[0]
         return out
@@ -130,7 +243,7 @@ class OneByOne(nn.Module):
         super().__init__()
         self.changes = nn.ModuleList(changes)
 
-    def forward(self, photos: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
+    def forward(self, photos: Photos) -> Photos:
         """Change each photo in its own way."""
         out = photos.clone()
         for number, which in enumerate(torch.randint(len(self.changes), (len(photos),)).tolist()):
@@ -141,133 +254,14 @@ class OneByOne(nn.Module):
 class WithinRange(nn.Module):
     """Values in 0..1, whatever noise and rounding made of them."""
 
-    def forward(self, photos: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
+    def forward(self, photos: Photos) -> Photos:
         """Cut off what is beyond."""
         return photos.clamp(0, 1)
 
 
-def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
-    """Photos in 0..1 -> photos as another camera might have taken them, fresh at every call.
-
-    Args:
-        name: `lite`, as the model that ships was trained; `paper`, RandAugment of three operations; `robust`,
-            also night, fog, snow, rain and compression; `none`.
-        height: of the photos made, in pixels; but for those that are cutting, of the photos given too.
-        width: the same.
-
-    Raises:
-        MissingExtraError: kornia is not installed.
-        ModelError: there is none of that name.
-    """
-    made: dict[str, Callable[[], list[nn.Module]]] = {
-        "lite": partial(_lite, height, width),
-        "paper": _paper,
-        "robust": partial(_robust, height, width),
-        "none": list,
-    }
-    if name not in made:
-        raise ModelError(f"there is no augmentation {name!r}: choose one of {', '.join(made)}")
-    changes = nn.Sequential(*made[name](), WithinRange())
-    return changes.requires_grad_(False)  # kornia's policies carry numbers that could be learnt
-
-
-def _lite(height: int, width: int) -> list[nn.Module]:
-    """Nothing here may change, nor its order: the weights that ship must come out of it again."""
-    k = _kornia()
-    return [
-        # viewpoint: a little nearer, to the side, tilted; what is much nearer is another place along the road
-        k.RandomResizedCrop((height, width), scale=(0.65, 1.0), ratio=(0.75, 1.33)),
-        k.RandomPerspective(0.3, p=0.4),
-        k.RandomAffine(8, translate=(0.1, 0.1), scale=(0.85, 1.1), shear=8, padding_mode="reflection", p=0.4),
-        # light: time of day, exposure, white balance, grey cameras
-        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.4, p=0.5),
-        k.RandomGamma((0.4, 2.5), p=0.3),
-        k.RandomPlanckianJitter(p=0.2),
-        k.RandomGrayscale(p=0.15),
-        # camera
-        LowResolution(),
-        k.RandomGaussianBlur((7, 7), (0.3, 2.0), p=0.15),
-        k.RandomGaussianNoise(std=0.04, p=0.25),
-        # what stands in the way
-        k.RandomErasing(scale=(0.02, 0.25), p=0.3),
-    ]
-
-
-def _paper() -> list[nn.Module]:
-    """RandAugment with three operations at the usual magnitude, 9 of 30; each photo draws its own.
-
-    Source: Cubuk et al., "RandAugment: Practical automated data augmentation with a reduced search space", 2020.
-    """
-    _kornia()
-    from kornia.augmentation.auto import RandAugment
-
-    # kornia goes `m` / 30 of the way from the first bound to the second, and knows one direction at a time
-    return [OneByOne(*(RandAugment(n=3, m=9, policy=_policy(*light)) for light in ((1.0, 1.9), (0.61, 1.0))))]
-
-
-def _policy(least: float, most: float) -> list[list[tuple[str, float, float | None]]]:
-    """The operations that torchvision's RandAugment has, in its ranges; lights and colours within those given."""
-    lights = [(name, least, most) for name in ("brightness", "color", "contrast", "sharpness")]
-    moves = [
-        ("rotate", 30.0),
-        ("shear_x", _SHEAR),
-        ("shear_y", _SHEAR),
-        ("translate_x", 0.45),
-        ("translate_y", 0.45),
-    ]
-    others = [
-        ("auto_contrast", 0.0, 1.0),
-        ("equalize", 0.0, 1.0),
-        ("posterize", 4.0, 8.0),
-        ("solarize", 0.57, 1.0),
-    ]
-    return [[operation] for operation in (*lights, *((name, -far, far) for name, far in moves), *others)]
-
-
-def _robust(height: int, width: int) -> list[nn.Module]:
-    k = _kornia()
-    return [
-        # viewpoint
-        k.RandomResizedCrop((height, width), scale=(0.3, 1.0), ratio=(0.6, 1.66)),
-        k.RandomPerspective(0.5, p=0.4),
-        k.RandomAffine(
-            10, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4
-        ),
-        # weather and hour
-        Fog(p=0.12),
-        k.RandomSnow(snow_coefficient=(0.1, 0.5), brightness=(1.2, 2.5), p=0.08),
-        *_rain(height, width),
-        Night(p=0.2),
-        # light
-        k.ColorJiggle(brightness=0.3, contrast=0.3, saturation=0.5, hue=0.03, p=0.5),
-        k.RandomGamma((0.4, 2.5), p=0.25),
-        k.RandomPlanckianJitter(p=0.2),
-        k.RandomGrayscale(p=0.15),
-        # camera
-        LowResolution(),
-        k.RandomGaussianBlur((7, 7), (0.3, 2.5), p=0.15),
-        k.RandomMotionBlur((3, 9), 90.0, (-1.0, 1.0), p=0.1),
-        k.RandomGaussianNoise(std=0.05, p=0.25),
-        WithinRange(),
-        k.RandomJPEG(jpeg_quality=(8.0, 60.0), p=0.3),
-        # what stands in the way
-        k.RandomErasing(scale=(0.02, 0.3), p=0.35),
-    ]
-
-
-def _rain(height: int, width: int) -> list[nn.Module]:
-    """Streaks in keeping with the photo's size; none on a photo too small for them."""
-    longest, aside = height // 12, width // 40
-    if longest < 2:
-        return []
-    drops = max(1, height * width // 300)
-    made: nn.Module = _kornia().RandomRain(
-        number_of_drops=(drops // 3, drops),
-        drop_height=(longest // 2, longest),
-        drop_width=(-aside, aside),
-        p=0.08,
-    )
-    return [made]
+def _drawn(photos: Photos, low: float, high: float) -> Float[Tensor, "batch 1 1 1"]:
+    """A number for each photo, drawn on the processor so that every device sees the same."""
+    return (low + (high - low) * torch.rand(len(photos), 1, 1, 1)).to(photos)
 
 
 def _kornia() -> Any:
