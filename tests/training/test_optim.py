@@ -1,18 +1,27 @@
-"""The rate's course, the running mean, and what is handed to the optimizer."""
+"""The rate's course, the running mean, what is handed to the optimizer; and the loss against numbers by hand."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+import sys
 
 import pytest
 import torch
 from torch import nn
+from torch.nn import functional as F
 
-from salad.errors import ModelError
+from salad.errors import MissingExtraError, ModelError
 from salad.models.describer import build
 from salad.network.aggregator_config import GemConfig
 from salad.network.config import ModelConfig
-from salad.training.optim import build_optimizer, learning_rate_factor, set_learning_rates, update_average
+from salad.training.optim import (
+    build_optimizer,
+    learning_rate_factor,
+    multi_similarity,
+    set_learning_rates,
+    update_average,
+)
 from salad.training.recipe import Recipe
 
 
@@ -74,3 +83,77 @@ def test_counters_that_no_gradient_moves_follow_at_once() -> None:
     towards.running_mean.fill_(3.0)
     update_average(mean, towards, decay=0.99, step=50)
     assert torch.equal(mean.running_mean, towards.running_mean)
+
+
+# four unit vectors in the plane at these angles; the first two show one place, the others another
+ANGLES = (0, 40, 60, 130)
+LABELS = torch.tensor([0, 0, 1, 1])
+
+
+def _vectors(angles: tuple[float, ...] = ANGLES) -> torch.Tensor:
+    radians = torch.tensor(angles, dtype=torch.float64).deg2rad()
+    return torch.stack([radians.cos(), radians.sin()], dim=1)
+
+
+def _by_hand(*, alpha: float, beta: float, base: float, margin: float) -> float:
+    """The paper's equations for these four vectors, pair by pair (Wang et al., equations 10 to 15)."""
+    likeness = [[math.cos(math.radians(a - b)) for a in ANGLES] for b in ANGLES]
+    total = 0.0
+    for i in range(4):
+        same = [likeness[i][j] for j in range(4) if j != i and LABELS[j] == LABELS[i]]
+        other = [likeness[i][j] for j in range(4) if LABELS[j] != LABELS[i]]
+        hard_same = [s for s in same if s - margin < max(other)]
+        hard_other = [s for s in other if s + margin > min(same)]
+        total += math.log(1 + sum(math.exp(-alpha * (s - base)) for s in hard_same)) / alpha
+        total += math.log(1 + sum(math.exp(beta * (s - base)) for s in hard_other)) / beta
+    return total / 4
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"alpha": 1.0, "beta": 50.0, "base": 0.0, "margin": 0.1},
+        {"alpha": 2.0, "beta": 10.0, "base": 0.5, "margin": 0.3},
+    ],
+)
+def test_the_loss_is_the_papers(options: dict[str, float]) -> None:
+    loss = multi_similarity(**options)(_vectors(), LABELS)
+    assert float(loss) == pytest.approx(_by_hand(**options), rel=1e-6)
+
+
+def test_the_papers_numbers_are_the_ones_meant() -> None:
+    """Worked out on paper for the defaults, every pair but (0, 130 degrees) hard:
+    (ln(1 + e^-cos 40) + ln(1 + e^-cos 40) + 2 ln(1 + e^-cos 70) + pairs of two places) / 4."""
+    near, far = math.cos(math.radians(40)), math.cos(math.radians(70))
+    same = 2 * math.log(1 + math.exp(-far))
+    # place 0's vector at 0: hardest stranger cos 60 = 0.5 < 0.766 - 0.1, so it learns nothing
+    same += math.log(1 + math.exp(-near))  # at 40: a stranger at cos 20 = 0.94
+    others = math.log(1 + math.exp(50 * math.cos(math.radians(20)))) / 50  # at 40; cos 90 = 0 is no threat
+    others += math.log(1 + math.exp(50 * 0.5) + math.exp(50 * math.cos(math.radians(20)))) / 50  # at 60
+    # at 130: strangers at cos 130 and cos 90 = 0, against its own at cos 70 = 0.342 - 0.1: nothing to push
+    same -= math.log(1 + math.exp(-far))
+    loss = multi_similarity()(_vectors(), LABELS)
+    assert float(loss) == pytest.approx((same + others) / 4, rel=1e-6)
+
+
+def test_places_far_apart_teach_nothing() -> None:
+    vectors = F.normalize(torch.tensor([[1.0, 0.0], [1.0, 0.01], [-1.0, 0.0], [-1.0, 0.01]]), dim=1)
+    assert float(multi_similarity()(vectors, LABELS)) == 0.0
+
+
+def test_learning_draws_a_place_together() -> None:
+    vectors = _vectors().requires_grad_()
+    multi_similarity()(vectors, LABELS).backward()
+    assert vectors.grad is not None
+    moved = F.normalize(vectors.detach() - 0.1 * vectors.grad, dim=1)
+    before = vectors.detach()
+    assert float(moved[2] @ moved[3]) > float(before[2] @ before[3])
+    assert float(moved[1] @ moved[2]) < float(before[1] @ before[2])
+
+
+def test_without_the_extra_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pytorch_metric_learning", None)
+    with pytest.raises(
+        MissingExtraError, match=r"training needs the 'train' extra: pip install 'salad-vpr\[train\]'"
+    ):
+        multi_similarity()

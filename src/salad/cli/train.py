@@ -1,9 +1,9 @@
-"""The command that teaches: `salad train`."""
+"""`salad train`: a model from photos of places, by a preset and whatever is given in place of its settings."""
 
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -139,19 +139,20 @@ class TrainCommand:
 
     def run(self) -> int:
         """Train."""
-        chosen = self._preset()
+        preset = self._preset()
         positive(self.devices, "devices")
         positive(self.nodes, "nodes")
         judge = self._judge()
         if self.dry_run:
-            return self._tell(chosen)
+            return self._say_what_would_be(preset)
         data, to = self._required(self.data, "data"), self._required(self.to, "to")
         from salad.training.devices import first_process
         from salad.training.trainer import train
 
+        # With several devices this very command runs once for each: the first alone draws a bar and speaks.
         with shell.progress("training") if first_process() else nullcontext() as bar:
             made = train(
-                chosen,
+                preset,
                 self._places(data),
                 to=to,
                 start=self.start,
@@ -169,11 +170,11 @@ class TrainCommand:
             shell.put(str(made))
         return shell.FOUND
 
-    def _tell(self, chosen: Preset) -> int:
+    def _say_what_would_be(self, preset: Preset) -> int:
         from salad.training.dry_run import dry_run
 
         facts = dry_run(
-            chosen,
+            preset,
             None if self.data is None else self._places(self.data),
             start=self.start,
             accelerator=self.accelerator,
@@ -192,21 +193,20 @@ class TrainCommand:
 
     def _preset(self) -> Preset:
         """The preset with what was given in place of its own settings."""
-        from dataclasses import replace
-
         from salad.training.recipe import Recipe, preset
 
         chosen = preset(self.preset)
         recipe = chosen.recipe if self.steps is None else chosen.recipe.of_steps(self.steps)
-        mine = {field.name for field in fields(self)}
-        names = [field.name for field in fields(Recipe) if field.name in mine]
-        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        # Whatever option has the name of a setting is that setting.
+        options = {field.name for field in fields(self)}
+        settings = [field.name for field in fields(Recipe) if field.name in options]
+        given = {name: getattr(self, name) for name in settings if getattr(self, name) is not None}
         if self.steps is not None and given.keys() & {"head_steps", "tune_steps", "epochs"}:
             raise SaladError(
                 "--steps counts both stages: give it, or --head-steps, --tune-steps and --epochs"
             )
         if "tune_steps" in given and "epochs" not in given:
-            given["epochs"] = None
+            given["epochs"] = None  # the preset's epochs would stand in place of the steps asked for
         return replace(chosen, recipe=replace(recipe, **given))
 
     def _judge(self) -> Judge | None:
@@ -218,9 +218,8 @@ class TrainCommand:
                     "--references and --queries"
                 )
             return None
-        references = self._required(self.references, "references")
         benchmark = benchmark_of(
-            references,
+            self._required(self.references, "references"),
             self._required(self.queries, "queries"),
             truth=self.truth,
             frames=self.frames,

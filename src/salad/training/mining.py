@@ -33,7 +33,7 @@ Likeness = list[dict[int, float]]
 def mine(
     model: Describes,
     places: Sequence[TrainingPlace],
-    shelf: ImageCache,
+    images: ImageCache,
     *,
     folder: Path,
     size: int,
@@ -45,7 +45,7 @@ def mine(
     Args:
         model: what they look alike to.
         places: what is searched; of each its middle photo.
-        shelf: where photos come from, squeezed for the model.
+        images: where photos come from, squeezed for the model.
         folder: a file is made in it, of a descriptor for each place, and removed in the end.
         size: most places of a clique; some at the end are smaller.
         apart_m: no two places nearer than this are in one clique, where their positions are known.
@@ -55,24 +55,24 @@ def mine(
         Numbers of places, two or more a clique; what is like no other that is left is in none.
 
     Raises:
-        BenchmarkError: no photo of a place can be read.
-        StoreError: the folder has no room.
+        BenchmarkError: If no photo of a place can be read.
+        StoreError: If the folder has no room.
     """
     near = Neighbours([place.where for place in places], apart_m)
-    shut = [near.of(number).tolist() for number in range(len(places))]
-    k = 1 + max(map(len, shut), default=0) + 4 * size + _SPARE  # itself, those near, and enough besides
+    nearby = [near.of(number).tolist() for number in range(len(places))]
+    k = 1 + max(map(len, nearby), default=0) + 4 * size + _SPARE  # itself, those near, and enough besides
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="alike-", dir=folder) as made:
-        rows = _described(model, places, shelf, Path(made) / "descriptors.f16")
+        rows = _described(model, places, images, Path(made) / "descriptors.f16")
         likeness = _likeness(rows, searcher, k=k)
         rows.close()
-    for alike, others in zip(likeness, shut, strict=True):
+    for alike, others in zip(likeness, nearby, strict=True):
         for other in others:
-            alike.pop(other, None)
-    return _cliques(likeness, near, size)
+            alike.pop(other, None)  # the same street from a few steps on looks alike, and is no mistake
+    return greedy_cliques(likeness, near, size)
 
 
-def _described(model: Describes, places: Sequence[TrainingPlace], shelf: ImageCache, path: Path) -> FileRows:
+def _described(model: Describes, places: Sequence[TrainingPlace], images: ImageCache, path: Path) -> FileRows:
     """Describe the middle photo of each place, into a file: descriptors of all may be more than memory holds."""
     path.touch()
     for start in range(0, len(places), _AT_ONCE):
@@ -81,7 +81,7 @@ def _described(model: Describes, places: Sequence[TrainingPlace], shelf: ImageCa
             View(place.photos[len(place.photos) // 2], label, mirrored=False, place=place)
             for label, place in enumerate(part)
         ]
-        pixels = shelf.photos(views).permute(0, 2, 3, 1).numpy()
+        pixels = images.photos(views).permute(0, 2, 3, 1).numpy()
         found = model.describe(list(pixels), batch_size=_BATCH)
         append(path, storable(found, len(part), model.dim), at=start)
     return FileRows(path, rows=len(places), dim=model.dim)
@@ -102,35 +102,34 @@ def _likeness(rows: FileRows, searcher: SearcherFactory, *, k: int) -> Likeness:
     return likeness
 
 
-def _cliques(likeness: Likeness, near: Neighbours, size: int) -> list[list[int]]:
-    """Greedily: whoever is most like another begins; places that were taken are out."""
+def greedy_cliques(likeness: Likeness, near: Neighbours, size: int) -> list[list[int]]:
+    """Whoever is most like another begins, and draws in who is most like all that are in already.
+
+    Args:
+        likeness: of each place, its look-alikes; none of them near it.
+        near: who is near whom.
+        size: most places of a clique.
+    """
     order = sorted(
         range(len(likeness)), key=lambda number: (-max(likeness[number].values(), default=-1.0), number)
     )
     free, cliques = set(order), list[list[int]]()
     for first in order:
-        if first in free:
-            clique = _grown(first, likeness, near, size, free)
-            if len(clique) > 1:
-                free -= set(clique)
-                cliques.append(clique)
+        if first not in free:
+            continue
+        clique, total = [first], dict[int, float]()
+        barred = {first, *near.of(first).tolist()}
+        while len(clique) < size:
+            # Where a pair's score is not known, since neither is among the other's best, it counts as nothing.
+            for other, score in likeness[clique[-1]].items():
+                total[other] = total.get(other, 0.0) + score
+            candidates = [other for other in total if other in free and other not in barred]
+            if not candidates:
+                break
+            best = max(candidates, key=lambda other: (total[other], -other))
+            clique.append(best)
+            barred |= {best, *near.of(best).tolist()}
+        if len(clique) > 1:
+            free -= set(clique)
+            cliques.append(clique)
     return cliques
-
-
-def _grown(first: int, likeness: Likeness, near: Neighbours, size: int, free: set[int]) -> list[int]:
-    """A clique around a place: again and again the free place that is most like all members together.
-
-    Where a pair's score is not known, since neither is among the other's best, it counts as nothing.
-    """
-    clique, shut = [first], {first, *near.of(first).tolist()}
-    total: dict[int, float] = {}
-    while len(clique) < size:
-        for other, score in likeness[clique[-1]].items():
-            total[other] = total.get(other, 0.0) + score
-        open_ = [other for other in total if other in free and other not in shut]
-        if not open_:
-            return clique
-        best = max(open_, key=lambda other: (total[other], -other))
-        clique.append(best)
-        shut |= {best, *near.of(best).tolist()}
-    return clique
