@@ -20,100 +20,6 @@ from salad.datasets.neighbours import Neighbours
 from salad.datasets.training_place import TrainingPlace, View, by_city
 from salad.errors import BenchmarkError
 
-# --- Places packed into batches, so that each has its turn once and no two of a batch are near to each other ---
-
-
-_SLACK = 4 / 3  # batches over those that distances ask for: with fewer, nobody could ever change places
-_TRIES = 8  # times that a place with near ones is offered another batch, whenever batches are shuffled
-
-
-class Packing:
-    """Places shared out among batches.
-
-    How many batches there are, and how many places each has room for, is settled once. Every shuffle fills
-    them anew: places that are near to no other trade freely; the others trade one for one where that
-    brings nobody next to a near one. So every shuffle is sound, and all are of one length.
-
-    Args:
-        places: their numbers, each once; at least one.
-        near: who is near to whom among them.
-        room: most places in a batch.
-    """
-
-    def __init__(self, places: Sequence[int], near: Neighbours, *, room: int) -> None:
-        self._places = places
-        self._foes = _foes(places, near)
-        self._home = self._settled(room)
-
-    def shuffled(self, chance: np.random.Generator) -> list[list[int]]:
-        """The batches, each a list of places, shared out anew."""
-        home = self._home.copy()
-        tied = np.array([bool(foes) for foes in self._foes])
-        free = np.flatnonzero(~tied)
-        home[free] = home[chance.permutation(free)]
-        self._trade(home, np.repeat(np.flatnonzero(tied), _TRIES), chance)
-        batches: list[list[int]] = [[] for _ in range(int(home.max()) + 1)]
-        for place in chance.permutation(len(home)):
-            batches[home[place]].append(self._places[place])
-        return batches
-
-    def _trade(self, home: NDArray[np.int64], movers: NDArray[np.int64], chance: np.random.Generator) -> None:
-        offered = chance.integers(len(home), size=len(movers))
-        for one, other in zip(chance.permutation(movers).tolist(), offered.tolist(), strict=True):
-            here, there = home[one], home[other]
-            if self._fits(home, one, there, without=other) and self._fits(home, other, here, without=one):
-                home[one], home[other] = there, here
-
-    def _fits(self, home: NDArray[np.int64], place: int, batch: int, *, without: int) -> bool:
-        return all(home[foe] != batch or foe == without for foe in self._foes[place])
-
-    def _settled(self, room: int) -> NDArray[np.int64]:
-        """A batch for each place: even ones, and more than the distances ask for, so that there is room to trade.
-
-        Those hard to place come first, and each goes where most room is left.
-        """
-        order = sorted(range(len(self._places)), key=lambda place: -len(self._foes[place]))
-        home = np.full(len(order), -1, dtype=np.int64)
-        kinds = _kinds(self._foes, order)
-        spare = min(math.ceil(_SLACK * kinds), len(order) // 2) if kinds > 1 else 1
-        fill = np.zeros(max(-(-len(order) // room), kinds, spare), dtype=np.int64)
-        for place in order:
-            fits = fill < room
-            fits[[home[foe] for foe in self._foes[place] if home[foe] >= 0]] = False
-            if not fits.any():
-                fill, fits = np.append(fill, 0), np.append(fits, True)
-            home[place] = emptiest = np.argmin(np.where(fits, fill, room + 1))
-            fill[emptiest] += 1
-        return self._evened(home, fill)
-
-    def _evened(self, home: NDArray[np.int64], fill: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Move places out of full batches into emptier ones that were opened late."""
-        for place, foes in enumerate(self._foes):
-            fits = fill + 1 < fill[home[place]]
-            fits[[home[foe] for foe in foes]] = False
-            if fits.any():
-                emptiest = np.argmin(np.where(fits, fill, fill.max() + 1))
-                fill[home[place]] -= 1
-                fill[emptiest] += 1
-                home[place] = emptiest
-        return home
-
-
-def _kinds(foes: Sequence[Sequence[int]], order: Sequence[int]) -> int:
-    """How many batches places need where room is no matter, taking them one by one: colours of a map."""
-    kind = [-1] * len(foes)
-    for place in order:
-        taken = {kind[foe] for foe in foes[place]}
-        kind[place] = next(number for number in itertools.count() if number not in taken)
-    return max(kind) + 1
-
-
-def _foes(places: Sequence[int], near: Neighbours) -> list[list[int]]:
-    """For each place, where among them those stand that are near to it."""
-    at = {place: number for number, place in enumerate(places)}
-    return [sorted(at[other] for other in near.of(place).tolist() if other in at) for place in places]
-
-
 APART_M = 100.0
 """How far apart, in metres, two places of a batch are at least: GSV-Cities' own distance."""
 
@@ -132,14 +38,14 @@ class MixedSampler:
     It keeps no distance between places: use it for sets whose places lie far enough apart by themselves.
 
     Args:
-        places: what to draw from.
-        per_batch: places in a batch.
-        views: photos of each; a place with fewer shows some of them twice.
-        seed: decides everything.
-        mirror: whether half of the places are mirrored.
+        places: What to draw from.
+        per_batch: Places in a batch.
+        views: Photos of each; a place with fewer shows some of them twice.
+        seed: Decides everything.
+        mirror: Whether half of the places are mirrored.
 
     Raises:
-        BenchmarkError: there are fewer places than a batch needs.
+        BenchmarkError: If there are fewer places than a batch needs.
     """
 
     def __init__(
@@ -152,11 +58,9 @@ class MixedSampler:
 
     def batch(self, number: int) -> list[View]:
         """The batch of that number, from 0 on."""
-        chance = np.random.default_rng((self._seed, number))
-        drawn = chance.choice(len(self._places), size=self._per_batch, replace=False, p=self._chances)
-        return _views(
-            [self._places[index] for index in drawn], chance, views=self._views, mirror=self._mirror
-        )
+        rng = np.random.default_rng((self._seed, number))
+        drawn = rng.choice(len(self._places), size=self._per_batch, replace=False, p=self._chances)
+        return _views([self._places[index] for index in drawn], rng, views=self._views, mirror=self._mirror)
 
 
 class OneCitySampler:
@@ -167,18 +71,18 @@ class OneCitySampler:
     be alone in its batch teaches nothing and is left out of that epoch.
 
     Args:
-        places: what to draw from.
-        per_batch: most places in a batch.
-        views: photos of each; a place with fewer shows some of them twice.
-        seed: decides everything.
-        mirror: whether half of the places are mirrored.
-        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
+        places: What to draw from.
+        per_batch: Most places in a batch.
+        views: Photos of each; a place with fewer shows some of them twice.
+        seed: Decides everything.
+        mirror: Whether half of the places are mirrored.
+        apart_m: Metres between any two places of a batch, where their positions are known; 0 for no matter.
 
     Attributes:
-        per_epoch: batches in an epoch.
+        per_epoch: Batches in an epoch.
 
     Raises:
-        BenchmarkError: there are fewer places than a batch needs, or none that may stand beside another.
+        BenchmarkError: If there are fewer places than a batch needs, or none that may stand beside another.
     """
 
     def __init__(
@@ -193,8 +97,7 @@ class OneCitySampler:
     ) -> None:
         _check_enough(places, per_batch)
         near = Neighbours([place.where for place in places], apart_m)
-        cities = by_city(places).values()
-        self._packings = [Packing(city, near, room=per_batch) for city in cities]
+        self._packings = [Packing(city, near, room=per_batch) for city in by_city(places).values()]
         self._places, self._views, self._seed, self._mirror = places, views, seed, mirror
         self._epoch, self._batches = -1, list[list[int]]()
         self.per_epoch = len(self._plan(0))
@@ -205,16 +108,17 @@ class OneCitySampler:
         """The batch of that number, from 0 on; an epoch ends every `per_epoch` batches."""
         epoch, within = divmod(number, self.per_epoch)
         shown = [self._places[place] for place in self._plan(epoch)[within]]
-        chance = np.random.default_rng((self._seed, number))
-        return _views(shown, chance, views=self._views, mirror=self._mirror)
+        rng = np.random.default_rng((self._seed, number))
+        return _views(shown, rng, views=self._views, mirror=self._mirror)
 
     def _plan(self, epoch: int) -> list[list[int]]:
+        """An epoch's batches; the last one asked for is kept, since its batches are asked for one by one."""
         if epoch != self._epoch:
             # the 1 behind keeps these draws apart from those of a batch: a 0 there would not
-            chance = np.random.default_rng((self._seed, epoch, 1))
-            packed = [batch for packing in self._packings for batch in packing.shuffled(chance)]
+            rng = np.random.default_rng((self._seed, epoch, 1))
+            packed = [batch for packing in self._packings for batch in packing.shuffled(rng)]
             several = [batch for batch in packed if len(batch) > 1]
-            self._batches = [several[place] for place in chance.permutation(len(several))]
+            self._batches = [several[place] for place in rng.permutation(len(several))]
             self._epoch = epoch
         return self._batches
 
@@ -227,16 +131,16 @@ class CliqueSampler:
     batch is full, and a place near to one that is in it already waits for another batch.
 
     Args:
-        places: what to draw from.
-        per_batch: most places in a batch.
-        views: photos of each; a place with fewer shows some of them twice.
-        seed: decides everything.
-        cliques: numbers of places, as `salad.training.mining.mine` gives them.
-        mirror: whether half of the places are mirrored.
-        apart_m: metres between any two places of a batch, where their positions are known; 0 for no matter.
+        places: What to draw from.
+        per_batch: Most places in a batch.
+        views: Photos of each; a place with fewer shows some of them twice.
+        seed: Decides everything.
+        cliques: Numbers of places, as `salad.training.mining.mine` gives them.
+        mirror: Whether half of the places are mirrored.
+        apart_m: Metres between any two places of a batch, where their positions are known; 0 for no matter.
 
     Raises:
-        BenchmarkError: there are fewer places than a batch needs or none that may stand beside another; or a
+        BenchmarkError: If there are fewer places than a batch needs or none that may stand beside another; or if a
             place is in two cliques, or in none of the places.
     """
 
@@ -261,53 +165,37 @@ class CliqueSampler:
         self._near = Neighbours([place.where for place in places], apart_m)
         numbers, chances = _chances(places)
         # A place near to all others would be alone in its batch, and teach nothing.
-        of = {
+        chance_of = {
             number: chance
             for number, chance in zip(numbers, chances.tolist(), strict=True)
             if len(self._near.of(number)) < len(places) - 1
         }
-        if not of:
+        if not chance_of:
             raise _no_two(places, apart_m)
-        alone = sorted(set(range(len(places))) - set(taken))
-        together = [
-            [place for place in clique if place in of] for clique in [*cliques, *([n] for n in alone)]
-        ]
+        alone = [[place] for place in sorted(set(range(len(places))) - set(taken))]
+        together = [[place for place in clique if place in chance_of] for clique in [*cliques, *alone]]
         self._groups = [group for group in together if group]
-        self._chances = np.array([sum(of[place] for place in group) / len(group) for group in self._groups])
+        self._chances = np.array(
+            [sum(chance_of[place] for place in group) / len(group) for group in self._groups]
+        )
         self._places, self._per_batch, self._views = places, per_batch, views
         self._seed, self._mirror = seed, mirror
 
     def batch(self, number: int) -> list[View]:
         """The batch of that number, from 0 on."""
-        chance = np.random.default_rng((self._seed, number))
+        rng = np.random.default_rng((self._seed, number))
         # waiting times: the same as to draw one after another, each by its chance among those that are left
-        order = np.argsort(chance.exponential(size=len(self._chances)) / self._chances).tolist()
+        order = np.argsort(rng.exponential(size=len(self._chances)) / self._chances).tolist()
         drawn, shut = list[int](), set[int]()
-        for place in itertools.chain.from_iterable(
-            chance.permutation(self._groups[group]).tolist() for group in order
-        ):
+        groups = (rng.permutation(self._groups[group]).tolist() for group in order)
+        for place in itertools.chain.from_iterable(groups):
             if len(drawn) == self._per_batch:
                 break
             if place not in shut:
                 drawn.append(place)
                 shut.update(self._near.of(place).tolist())
         shown = [self._places[place] for place in drawn]
-        return _views(shown, chance, views=self._views, mirror=self._mirror)
-
-
-def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], Float64[np.ndarray, " places"]]:
-    """Places' numbers, city by city, and the chance of each: a city's is the square root of its size."""
-    cities = list(by_city(places).values())
-    shares = np.sqrt([len(city) for city in cities])
-    chances = [np.full(len(c), s / len(c)) for c, s in zip(cities, shares / shares.sum(), strict=True)]
-    return [number for city in cities for number in city], np.concatenate(chances)
-
-
-def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
-    return BenchmarkError(
-        f"no two of the {len(places)} places may stand in one batch, since places of one city lie within "
-        f"{apart_m:g} m of each other: take photos of more places, or train with a smaller distance"
-    )
+        return _views(shown, rng, views=self._views, mirror=self._mirror)
 
 
 def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:
@@ -318,18 +206,115 @@ def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:
         )
 
 
+def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
+    return BenchmarkError(
+        f"no two of the {len(places)} places may stand in one batch, since places of one city lie within "
+        f"{apart_m:g} m of each other: take photos of more places, or train with a smaller distance"
+    )
+
+
+def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], Float64[np.ndarray, " places"]]:
+    """Places' numbers, city by city, and the chance of each: a city's is the square root of its size."""
+    cities = list(by_city(places).values())
+    weights = np.sqrt([len(city) for city in cities])
+    chances = [np.full(len(c), w / len(c)) for c, w in zip(cities, weights / weights.sum(), strict=True)]
+    return [number for city in cities for number in city], np.concatenate(chances)
+
+
 def _views(
-    places: Sequence[TrainingPlace], chance: np.random.Generator, *, views: int, mirror: bool
+    places: Sequence[TrainingPlace], rng: np.random.Generator, *, views: int, mirror: bool
 ) -> list[View]:
-    return [
-        View(place.photos[photo], label, mirrored, place)
-        for label, place in enumerate(places)
-        for mirrored in [mirror and bool(chance.random() < 0.5)]
-        for photo in _some(chance, len(place.photos), views)
-    ]
+    """What a batch of places shows: so many photos of each, each place mirrored in all of them or in none."""
+    shown: list[View] = []
+    for label, place in enumerate(places):
+        # The order of these draws decides every batch: runs that are resumed must draw as they did before.
+        mirrored = mirror and bool(rng.random() < 0.5)
+        rounds = math.ceil(views / len(place.photos))  # a place with too few photos shows some of them twice
+        photos = np.concatenate([rng.permutation(len(place.photos)) for _ in range(rounds)])[:views]
+        shown += [View(place.photos[photo], label, mirrored, place) for photo in photos.tolist()]
+    return shown
 
 
-def _some(chance: np.random.Generator, photos: int, views: int) -> list[int]:
-    rounds = math.ceil(views / photos)  # a place with too few photos shows some of them twice
-    drawn: list[int] = np.concatenate([chance.permutation(photos) for _ in range(rounds)])[:views].tolist()
-    return drawn
+_SLACK = 4 / 3  # batches over those that distances ask for: with fewer, nobody could ever change places
+_TRIES = 8  # times that a place with near ones is offered another batch, whenever batches are shuffled
+
+
+class Packing:
+    """Places shared out among batches, so that each has its turn once and no two of a batch are near to each other.
+
+    How many batches there are, and how many places each has room for, is settled once. Every shuffle fills
+    them anew: places that are near to no other trade freely; the others trade one for one where that
+    brings nobody next to a near one. So every shuffle is sound, and all are of one length.
+
+    Args:
+        places: Their numbers, each once; at least one.
+        near: Who is near to whom among them.
+        room: Most places in a batch.
+    """
+
+    def __init__(self, places: Sequence[int], near: Neighbours, *, room: int) -> None:
+        self._places = places
+        at = {place: index for index, place in enumerate(places)}
+        # For each place, where among these the places stand that are near to it.
+        self._near = [
+            sorted(at[other] for other in near.of(place).tolist() if other in at) for place in places
+        ]
+        self._batch_of = self._settled(room)
+
+    def shuffled(self, rng: np.random.Generator) -> list[list[int]]:
+        """The batches, each a list of places, shared out anew."""
+        batch_of = self._batch_of.copy()
+        tied = np.array([bool(near) for near in self._near])
+        free = np.flatnonzero(~tied)
+        batch_of[free] = batch_of[rng.permutation(free)]
+        movers = np.repeat(np.flatnonzero(tied), _TRIES)
+        offered = rng.integers(len(batch_of), size=len(movers))
+        for one, other in zip(rng.permutation(movers).tolist(), offered.tolist(), strict=True):
+            here, there = batch_of[one], batch_of[other]
+            if self._fits(batch_of, one, there, without=other) and self._fits(
+                batch_of, other, here, without=one
+            ):
+                batch_of[one], batch_of[other] = there, here
+        batches: list[list[int]] = [[] for _ in range(int(batch_of.max()) + 1)]
+        for index in rng.permutation(len(batch_of)):
+            batches[batch_of[index]].append(self._places[index])
+        return batches
+
+    def _fits(self, batch_of: NDArray[np.int64], index: int, batch: int, *, without: int) -> bool:
+        return all(batch_of[near] != batch or near == without for near in self._near[index])
+
+    def _settled(self, room: int) -> NDArray[np.int64]:
+        """A batch for each place: even ones, and more than the distances ask for, so that there is room to trade.
+
+        Those hard to place come first, and each goes where most room is left.
+        """
+        order = sorted(range(len(self._places)), key=lambda index: -len(self._near[index]))
+        batch_of = np.full(len(order), -1, dtype=np.int64)
+        needed = self._colours(order)
+        spare = min(math.ceil(_SLACK * needed), len(order) // 2) if needed > 1 else 1
+        fill = np.zeros(max(-(-len(order) // room), needed, spare), dtype=np.int64)
+        for index in order:
+            fits = fill < room
+            fits[[batch_of[near] for near in self._near[index] if batch_of[near] >= 0]] = False
+            if not fits.any():
+                fill, fits = np.append(fill, 0), np.append(fits, True)
+            batch_of[index] = emptiest = np.argmin(np.where(fits, fill, room + 1))
+            fill[emptiest] += 1
+        # Then out of full batches into emptier ones that were opened late.
+        for index, near in enumerate(self._near):
+            fits = fill + 1 < fill[batch_of[index]]
+            fits[[batch_of[other] for other in near]] = False
+            if fits.any():
+                emptiest = np.argmin(np.where(fits, fill, fill.max() + 1))
+                fill[batch_of[index]] -= 1
+                fill[emptiest] += 1
+                batch_of[index] = emptiest
+        return batch_of
+
+    def _colours(self, order: Sequence[int]) -> int:
+        """How many batches places need where room is no matter, taking them one by one: colours of a map."""
+        colour = [-1] * len(order)
+        for index in order:
+            taken = {colour[near] for near in self._near[index]}
+            colour[index] = next(number for number in itertools.count() if number not in taken)
+        return max(colour) + 1
