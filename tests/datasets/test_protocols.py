@@ -7,14 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from salad.datasets import protocols
-from salad.datasets.benchmark import Benchmark, from_radius
-from salad.datasets.check_folder import check
-from salad.datasets.compact_lists import PhotoList, Strings, headings, positions
+from salad.datasets.benchmark import from_radius
+from salad.datasets.compact_lists import PhotoList
 from salad.datasets.protocols import LAYOUTS, PROTOCOLS, read
 from salad.datasets.readers.base import (
     EveryNth,
@@ -28,7 +26,7 @@ from salad.datasets.readers.base import (
 )
 from salad.errors import BenchmarkError, PhotoError
 from salad.geo import GeoPoint
-from salad.images.photo import Photo, PhotoTable
+from salad.images.photo import PhotoTable
 
 
 def specified(shared: Path) -> dict[str, tuple[int | None, int | None]]:
@@ -247,83 +245,6 @@ class TestRules:
         photos = PhotoList(Path("x"), ["a.jpg"])
         with pytest.raises(BenchmarkError, match="does not say what is right"):
             right_by(Radius(25), Sides(photos, photos))
-
-
-class TestLazy:
-    def test_photos_as_they_are_asked_for(self) -> None:
-        where = np.array([[41.0, 2.0], [np.nan, np.nan]])
-        photos = PhotoList(Path("d"), ["a.jpg", "ü b/ñ.jpg"], where=where, headings=np.array([np.nan, 90.0]))
-        assert list(photos) == [
-            Photo(Path("d/a.jpg"), GeoPoint(41.0, 2.0)),
-            Photo(Path("d/ü b/ñ.jpg"), heading=90.0),
-        ]
-        assert photos[-1] == photos[1]
-        assert photos[:1] == [photos[0]]
-        assert [photo.path.name for photo in photos.subset(np.array([1, 0]))] == ["ñ.jpg", "a.jpg"]
-        for given in (photos, list(photos)):
-            assert np.array_equal(positions(given), where, equal_nan=True)
-            assert np.array_equal(headings(given), np.array([np.nan, 90.0]), equal_nan=True)
-        assert positions([]).shape == (0, 2)
-
-    def test_strings(self) -> None:
-        texts = ["", "a", "名前", "\udcff"]
-        assert list(Strings(texts)) == texts
-        assert len(Strings([])) == 0
-
-    def test_a_benchmark_checks_its_groups(self) -> None:
-        photos = PhotoList(Path("d"), ["a.jpg"])
-        with pytest.raises(BenchmarkError, match="groups for 2"):
-            Benchmark("n", "p", photos, photos, [np.array([0])], groups=("a", "b"))
-
-
-class TestCheck:
-    def test_a_set_that_fits(self, tmp_path: Path, fakes: ModuleType) -> None:
-        findings = check(fakes.numbered(tmp_path, range(607), range(607)))
-        assert [finding.protocol for finding in findings if finding.fits] == ["sped", "folder", "frames"]
-        sped, nordland = findings[0], next(f for f in findings if f.protocol == "nordland-10f")
-        assert (sped.layout, sped.references, sped.queries, sped.unanswerable) == ("drives", 607, 607, 0)
-        assert nordland.missing == ("expected 27,592 references, found 607",)
-
-    def test_by_the_folders_name(self, tmp_path: Path, fakes: ModuleType) -> None:
-        root = fakes.at_names(tmp_path / "st_lucia", [0.0, 9.0], [0.0, 900.0])
-        fitting = {finding.protocol: finding for finding in check(root) if finding.fits}
-        assert set(fitting) == {"st-lucia", "folder", "frames"}
-        assert fitting["st-lucia"].unanswerable == 1
-
-    def test_what_is_wrong_is_said(self, tmp_path: Path, fakes: ModuleType) -> None:
-        (tmp_path / "pitts30k_test.mat").write_bytes(b"no")
-        fakes.numbered(tmp_path, range(40), range(5))
-        findings = {(finding.protocol, finding.layout): finding for finding in check(tmp_path)}
-        broken = findings["pitts30k-test", "dbStruct"]
-        assert (broken.fits, broken.references) == (False, None)
-        assert "no whole MATLAB file" in broken.missing[0]
-
-    def test_queries_that_differ(
-        self, tmp_path: Path, fakes: ModuleType, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        fakes.numbered(tmp_path, range(40), range(5))
-        for name in ("nordland-1f", "nordland-2f"):
-            monkeypatch.setitem(PROTOCOLS, name, replace(PROTOCOLS[name], references=40, queries=9))
-        findings = {finding.protocol: finding for finding in check(tmp_path)}
-        assert findings["nordland-1f"].missing == ("expected 9 queries, found 5",)
-        assert "without a gap" in findings["nordland-2f"].missing[0]
-
-    def test_own_table(self, shared: Path) -> None:
-        fitting = [finding.protocol for finding in check(shared / "data" / "eval" / "toy") if finding.fits]
-        assert fitting == ["folder", "frames", "truth"]
-
-    def test_frames_need_numbers(self, tmp_path: Path, fakes: ModuleType) -> None:
-        fakes.touch(tmp_path / "database", ["a.jpg"])
-        fakes.touch(tmp_path / "queries", ["1.jpg"])
-        findings = {finding.protocol: finding for finding in check(tmp_path)}
-        assert findings["folder"].fits
-        assert not findings["frames"].fits
-        assert "a.jpg has no number" in findings["frames"].missing[0]
-
-    def test_nothing_and_no_folder(self, tmp_path: Path) -> None:
-        assert check(tmp_path) == []
-        with pytest.raises(BenchmarkError, match="there is no folder"):
-            check(tmp_path / "absent")
 
 
 def test_a_name_is_looked_up_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salad.datasets.benchmark import Benchmark
-from salad.datasets.coordinates import zone_number
-from salad.datasets.folders import in_order, names_below
 from salad.datasets.protocols import read
 from salad.datasets.readers.at_names import read_side
 from salad.errors import BenchmarkError
@@ -156,12 +154,6 @@ class TestAtNames:
         monkeypatch.setattr(os, "stat", stat)
         read("st-lucia", tmp_path)
         assert len(looked) < 40
-
-    @pytest.mark.parametrize(
-        ("text", "zone"), [("17T", 17), ("54s", 54), ("54K", -54), ("61T", 0), ("17O", 0)]
-    )
-    def test_zones(self, text: str, zone: int) -> None:
-        assert zone_number(text) == zone
 
 
 class TestMsls:
@@ -462,10 +454,6 @@ class TestDrives:
         mocked = read("sped", fakes.mock_names(tmp_path / "m", range(1, 8)), any_size=True)
         assert rows(mocked) == rows(made)
 
-    def test_names_in_order(self, tmp_path: Path, fakes: ModuleType) -> None:
-        assert in_order(["10.jpg", "9.jpg", "a1.jpg"]) == ["a1.jpg", "9.jpg", "10.jpg"]
-        assert in_order(["b.jpg", "9.jpg"]) == ["9.jpg", "b.jpg"]
-
 
 class TestPairsAndPlaces:
     def test_amstertime(self, tmp_path: Path, fakes: ModuleType) -> None:
@@ -489,16 +477,3 @@ class TestPairsAndPlaces:
         assert made.queries[0].where is not None
         with pytest.raises(BenchmarkError, match="no place of four photos"):
             read("gsv-cities", fakes.gsv_cities(tmp_path / "few", {"Rome": [3]}))
-
-
-class TestNamesBelow:
-    def test_what_is_hidden_or_no_photo_is_left_out(self, tmp_path: Path, fakes: ModuleType) -> None:
-        fakes.touch(tmp_path, ["b.JPG", "a/x.png", ".hidden.jpg", ".cache/y.jpg", "notes.txt"])
-        (tmp_path / "a" / "round").symlink_to(tmp_path)
-        assert names_below(tmp_path) == ["a/x.png", "b.JPG"]
-
-    def test_nothing_there(self, tmp_path: Path) -> None:
-        with pytest.raises(BenchmarkError, match="holds no photos"):
-            names_below(tmp_path)
-        with pytest.raises(BenchmarkError, match="cannot be read"):
-            names_below(tmp_path / "absent")

@@ -59,7 +59,7 @@ class Benchmark:
         """Refuse parts that do not fit together.
 
         Raises:
-            BenchmarkError: A side is empty, the counts differ, or a positive is no reference.
+            BenchmarkError: If a side is empty, the counts differ, or a positive is no reference.
         """
         if not self.references or not self.queries:
             raise BenchmarkError(
@@ -76,21 +76,6 @@ class Benchmark:
                 f"benchmark '{self.name}' has {len(self.queries)} queries but groups for {len(self.groups)}: "
                 "give one a query, or none at all"
             )
-        self._check_rows()
-
-    @property
-    def unanswerable(self) -> int:
-        """How many queries have no right reference."""
-        if isinstance(self.positives, Ragged):
-            return int((self.positives.lengths == 0).sum())
-        return sum(rows.size == 0 for rows in self.positives)
-
-    @property
-    def counted(self) -> int:
-        """How many queries a share is taken of, by this benchmark's rule."""
-        return len(self.queries) - (self.unanswerable if self.unanswerable_rule == "drop" else 0)
-
-    def _check_rows(self) -> None:
         flat = self.positives if isinstance(self.positives, Ragged) else Ragged.of(self.positives)
         wrong = np.flatnonzero((flat.values < 0) | (flat.values >= len(self.references)))
         if wrong.size:
@@ -99,6 +84,18 @@ class Benchmark:
                 f"a positive of {query.path} is not among the {len(self.references)} references "
                 f"of benchmark '{self.name}': rows count from 0"
             )
+
+    @property
+    def unanswerable(self) -> int:
+        """How many queries have no right reference."""
+        if isinstance(self.positives, Ragged):  # at once, where there are many
+            return int((self.positives.lengths == 0).sum())
+        return sum(rows.size == 0 for rows in self.positives)
+
+    @property
+    def counted(self) -> int:
+        """How many queries a recall is taken of, by this benchmark's rule."""
+        return len(self.queries) - (self.unanswerable if self.unanswerable_rule == "drop" else 0)
 
 
 def from_truth(references: Path, queries: Path, truth_csv: Path, *, name: str | None = None) -> Benchmark:
@@ -114,8 +111,8 @@ def from_truth(references: Path, queries: Path, truth_csv: Path, *, name: str | 
         name: What to call the set; by default the folder that holds both.
 
     Raises:
-        BenchmarkError: The table cannot be read, lacks a column, repeats a query or names an unknown photo.
-        PhotoError: A folder is missing or holds no photo.
+        BenchmarkError: If the table cannot be read, lacks a column, repeats a query or names an unknown photo.
+        PhotoError: If a folder is missing or holds no photo.
     """
     reference_paths, query_paths = two_folders(references, queries)
     truth = read_truth(truth_csv, Names(references, reference_paths), Names(queries, query_paths))
@@ -143,24 +140,25 @@ def from_frames(references: Path, queries: Path, tolerance: int, *, name: str | 
         name: What to call the set; by default the folder that holds both.
 
     Raises:
-        BenchmarkError: A photo has no number, two references share one, or the tolerance is negative.
-        PhotoError: A folder is missing or holds no photo.
+        BenchmarkError: If a photo has no number, two references share one, or the tolerance is negative.
+        PhotoError: If a folder is missing or holds no photo.
     """
     if tolerance < 0:
         raise BenchmarkError(f"a tolerance of {tolerance} frames makes nothing right: give 0 or more")
     reference_paths, query_paths = two_folders(references, queries)
     by_frame: dict[int, int] = {}
     for row, path in enumerate(reference_paths):
-        first = by_frame.setdefault(_frame(path), row)
+        first = by_frame.setdefault(frame(str(path)), row)
         if first != row:
             raise BenchmarkError(
-                f"{reference_paths[first]} and {path} are both frame {_frame(path)}: "
+                f"{reference_paths[first]} and {path} are both frame {frame(str(path))}: "
                 "keep one reference a frame, or say what is right with a truth table"
             )
+    # Python's own numbers and bisect: a frame may be a time in nanoseconds, which no int64 holds.
     frames = sorted(by_frame)
     positives = []
     for path in query_paths:
-        here = _frame(path)
+        here = frame(str(path))
         near = frames[bisect_left(frames, here - tolerance) : bisect_right(frames, here + tolerance)]
         positives.append(_rows(by_frame[other] for other in near))
     return Benchmark(
@@ -194,16 +192,15 @@ def from_radius(
         name: What to call the set; by default the folder that holds both.
 
     Raises:
-        BenchmarkError: A photo has no position or no heading, or the radius is not a positive number.
-        PhotoError: A folder is missing or holds no photo.
-        PositionError: A photo's position makes no sense.
+        BenchmarkError: If a photo has no position or no heading, or the radius is not a positive number.
+        PhotoError: If a folder is missing or holds no photo.
+        PositionError: If a photo's position makes no sense.
     """
     if not (metres > 0 and math.isfinite(metres)):
         raise BenchmarkError(f"a radius of {metres} m makes no sense: give a positive number of metres")
     reference_paths, query_paths = two_folders(references, queries)
-    turned = heading is not None
-    reference_photos = tuple(_known(path, table, turned) for path in reference_paths)
-    query_photos = tuple(_known(path, table, turned) for path in query_paths)
+    reference_photos = tuple(_known(path, table, heading is not None) for path in reference_paths)
+    query_photos = tuple(_known(path, table, heading is not None) for path in query_paths)
     ours, theirs = _positions(query_photos, "query"), _positions(reference_photos, "reference")
     positives = near_on_earth(ours, theirs, metres)
     if heading is not None:
@@ -217,11 +214,12 @@ def from_radius(
     )
 
 
-def _known(path: Path, table: PhotoTable | None, turned: bool) -> Photo:
+def _known(path: Path, table: PhotoTable | None, with_heading: bool) -> Photo:
     """A photo with what its name and the table say, and its EXIF only where they do not say enough."""
-    told = parse_at_name(path.name)
-    photo = placed(Photo(path, told.where, told.heading, told.time) if told else Photo(path), table)
-    enough = photo.where is not None and (photo.heading is not None or not turned)
+    name = parse_at_name(path.name)
+    photo = placed(Photo(path, name.where, name.heading, name.time) if name else Photo(path), table)
+    # To open each of many photos for its EXIF takes minutes, where names and a table take seconds.
+    enough = photo.where is not None and (photo.heading is not None or not with_heading)
     return photo if enough else read_photo(path, table)
 
 
@@ -236,11 +234,6 @@ def _common_name(references: Path, queries: Path) -> str:
 def _rows(rows: Iterable[int]) -> Rows:
     """Make row numbers ascending and unique, int64."""
     return np.unique(np.fromiter(rows, dtype=np.int64))
-
-
-def _frame(path: Path) -> int:
-    """Read the last whole number in a photo's name; said with its whole path where there is none."""
-    return frame(str(path))
 
 
 def _positions(photos: Sequence[Photo], role: str) -> NDArray[np.float64]:

@@ -16,14 +16,12 @@ from salad.images.photo import Photo
 _T = TypeVar("_T", covariant=True)
 
 
-class _Parts(Sequence[_T]):
-    """A sequence that knows one item and a part; indices are already settled for both."""
+class _MadeOnRequest(Sequence[_T]):
+    """A sequence that makes an item when it is asked for: millions of photos as objects would take gigabytes."""
 
     def _one(self, row: int) -> _T:
+        """The item of a row that is there, counted from 0."""
         raise NotImplementedError
-
-    def _part(self, rows: slice) -> Sequence[_T]:
-        return [self._one(row) for row in range(*rows.indices(len(self)))]
 
     @overload
     def __getitem__(self, row: int) -> _T: ...
@@ -31,21 +29,22 @@ class _Parts(Sequence[_T]):
     def __getitem__(self, row: slice) -> Sequence[_T]: ...
     def __getitem__(self, row: int | slice) -> _T | Sequence[_T]:
         if isinstance(row, slice):
-            return self._part(row)
-        settled = row + len(self) if row < 0 else row
-        if not 0 <= settled < len(self):
+            return [self._one(number) for number in range(*row.indices(len(self)))]
+        from_start = row + len(self) if row < 0 else row
+        if not 0 <= from_start < len(self):
             raise IndexError(f"{row} is not among {len(self)}")
-        return self._one(settled)
+        return self._one(from_start)
 
 
-class Strings(_Parts[str]):
+class Strings(_MadeOnRequest[str]):
     """Texts in one block of bytes: 2.8 million names take what their letters take.
 
     Args:
-        texts: in any number.
+        texts: In any number.
     """
 
     def __init__(self, texts: Iterable[str]) -> None:
+        # A file's name may hold bytes that are no text; surrogates stand for them, as Path has it.
         coded = [text.encode("utf-8", "surrogateescape") for text in texts]
         self._ends = np.cumsum([0, *map(len, coded)], dtype=np.int64)
         self._bytes = b"".join(coded)
@@ -57,7 +56,7 @@ class Strings(_Parts[str]):
         return self._bytes[self._ends[row] : self._ends[row + 1]].decode("utf-8", "surrogateescape")
 
 
-class Ragged(_Parts["Int64[np.ndarray, ' n']"]):
+class Ragged(_MadeOnRequest["Int64[np.ndarray, ' n']"]):
     """Arrays of any length each, one after the other in one array.
 
     Args:
@@ -87,12 +86,12 @@ class Ragged(_Parts["Int64[np.ndarray, ' n']"]):
         return self.values[self.ends[row] : self.ends[row + 1]]
 
 
-class PhotoList(_Parts[Photo]):
+class PhotoList(_MadeOnRequest[Photo]):
     """Photos by name, each with where it was taken and which way it looked, as far as that is known.
 
     Args:
-        folder: what the names are below.
-        names: paths below the folder.
+        folder: What the names are below.
+        names: Paths below the folder.
         where: `[N, 2]` latitudes and longitudes in degrees, NaN where unknown.
         headings: `[N]` degrees clockwise from north, NaN where unknown.
     """

@@ -36,7 +36,7 @@ class Names:
         """Give the row of the photo called `name`; `at` says where that name was read.
 
         Raises:
-            BenchmarkError: No photo is called so, or several are.
+            BenchmarkError: If no photo is called so, or several are.
         """
         plain = name.replace("\\", "/").removeprefix("./")
         if plain in self._by_path:
@@ -62,7 +62,7 @@ def read_truth(truth_csv: Path, references: Names, queries: Names) -> dict[int, 
         The rows of the right references by the row of their query, in the order of the table.
 
     Raises:
-        BenchmarkError: The table cannot be read, lacks a column, repeats a query or names an unknown photo.
+        BenchmarkError: If the table cannot be read, lacks a column, repeats a query or names an unknown photo.
     """
     truth: dict[int, list[int]] = {}
     for line, query, positives in _lines(truth_csv):
@@ -109,7 +109,7 @@ def looking_alike(
     """Keep of each query's positives those that look the same way, within `tolerance` degrees.
 
     Raises:
-        BenchmarkError: A photo has no heading, or the tolerance is not between 0 and 180.
+        BenchmarkError: If a photo has no heading, or the tolerance is not between 0 and 180.
     """
     if not 0 <= tolerance <= 180:
         raise BenchmarkError(f"headings within {tolerance} degrees make no sense: give 0 to 180")

@@ -64,7 +64,7 @@ def _pittsburgh(name: str, stem: str, split: str, references: int, queries: int)
         queries,
         stems=(f"{stem}_{split}", stem),
         split=split,
-        zone="17T",
+        zone="17T",  # its files give metres and no zone: without it no photo has a latitude
         get=_NETVLAD,
         licence=_ON_REQUEST,
     )
@@ -90,6 +90,7 @@ def _own_rule(name: str, rule: Radius | OwnTable, layout: str, get: str) -> Prot
 PROTOCOLS: dict[str, Protocol] = {
     protocol.name: protocol
     for protocol in (
+        # One set, judged in two ways, and the commonest cause of figures that do not compare.
         Protocol(
             "msls-val-740",
             Radius(25.0),
@@ -117,6 +118,7 @@ PROTOCOLS: dict[str, Protocol] = {
         _pittsburgh("pitts30k-val", "pitts30k", "val", 10_000, 7_608),
         _pittsburgh("pitts30k-test", "pitts30k", "test", 10_000, 6_816),
         _pittsburgh("pitts250k-test", "pitts250k", "test", 83_952, 8_280),
+        # Three sets of one film: every tenth frame, every eighth, and all of them with the seasons swapped.
         _nordland("nordland-1f", EveryNth(10, 1), 27_592, 2_760, "npy triple"),
         _nordland("nordland-2f", Frames(2), 27_592, 3_450, "npy triple"),
         _nordland("nordland-10f", Frames(10), 27_592, 27_592, "@ names", "npz"),
@@ -156,6 +158,7 @@ PROTOCOLS: dict[str, Protocol] = {
             )
             for version, queries in ((1, 1_000), (2, 598))
         ),
+        # Sets without published counts: their names come with the protocol, their sizes with the folder.
         _by_folder("st-lucia", "st_lucia", "st-lucia", "stlucia"),
         Protocol(
             "amstertime",
@@ -179,6 +182,7 @@ PROTOCOLS: dict[str, Protocol] = {
             get="github.com/amaralibey/gsv-cities",
             licence="CC BY-NC-ND 4.0",
         ),
+        # A user's own: what is right is as the options of `read` say.
         _own_rule("folder", Radius(25.0), "folder", "your own photos, with EXIF GPS, `@` names or a table"),
         _own_rule(
             "frames", OwnTable("the tolerance you give"), "folder", "your own two drives of numbered photos"
@@ -298,14 +302,14 @@ def benchmark_of(asked: Protocol, sides: Sides, *, name: str) -> Benchmark:
     Raises:
         BenchmarkError: If the sides do not hold what the rule needs, or do not fit together.
     """
-    told = (f"what is right is as {sides.told_by} says",) if sides.told_by else ()
+    source = (f"what is right is as {sides.told_by} says",) if sides.told_by else ()
     return Benchmark(
         name=name,
         protocol=asked.name,
         references=sides.references,
         queries=sides.queries,
         positives=right_by(asked.rule, sides),
-        notes=(*sides.notes, *told),
+        notes=(*sides.notes, *source),
         unanswerable_rule=asked.unanswerable,
         groups=sides.groups,
     )

@@ -25,6 +25,7 @@ _FIELDS = (
     *("whichSet", "dbImageFns", "utmDb", "qImageFns", "utmQ"),
     *("numImages", "numQueries", "posDistThr", "posDistSqThr", "nonTrivPosDistSqThr"),
 )
+# Where queries lie below the photos: Pittsburgh, Tokyo 24/7 in two versions, and others.
 _QUERIES = ("queries_real", "247query_subset_v2", "247query_v3", "queries", "")
 
 

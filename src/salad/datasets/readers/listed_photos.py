@@ -39,12 +39,14 @@ def photos_at(
     Raises:
         BenchmarkError: If the list is empty, or no folder holds its first photo.
     """
+    # Lists come from Windows too, and from `find`.
     plain = [name.strip().replace("\\", "/").removeprefix("./") for name in names]
     broken = next((name for name in plain if not name or "\0" in name), None)
     if broken is not None:
         raise BenchmarkError(f"{listed_in} names {broken[:200]!r}, which is no file's name: fetch it again")
     if not plain:
         raise BenchmarkError(f"{listed_in} names no photos: fetch it again")
+    # Every repository puts them elsewhere; the first photo is enough to tell where, and to look at each takes minutes.
     folders = list(dict.fromkeys(tried))
     suffix = PurePosixPath(plain[0]).suffix
     for folder in folders:
@@ -61,8 +63,8 @@ def photos_at(
 
 def panoramas(names: Sequence[str]) -> tuple[str, ...] | None:
     """The panorama that each photo was cut from, where every name says so: its views are one place."""
-    whole = tuple(_VIEW.sub("", name) for name in names)
-    return whole if all(len(cut) < len(name) for cut, name in zip(whole, names, strict=True)) else None
+    cut = tuple(_VIEW.sub("", name) for name in names)
+    return cut if all(len(short) < len(name) for short, name in zip(cut, names, strict=True)) else None
 
 
 def file_of(root: Path, wanted: Iterable[str]) -> Path | None:

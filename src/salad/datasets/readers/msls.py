@@ -13,6 +13,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def columns(table: Path, names: Sequence[str]) -> dict[str, list[str]]:
     """The named columns; others, such as an unnamed first one, are left aside.
 
     Raises:
-        BenchmarkError: the table cannot be read, lacks a column, or a line is too short.
+        BenchmarkError: If the table cannot be read, lacks a column, or a line is too short.
     """
     found: dict[str, list[str]] = {name: [] for name in names}
     try:
@@ -54,15 +55,14 @@ def numbers(table: Path, name: str, cells: Sequence[str]) -> Float64[np.ndarray,
     """A column of finite numbers.
 
     Raises:
-        BenchmarkError: a cell is none; named by its row.
+        BenchmarkError: If a cell is none; named by its row.
     """
-    read = np.array([_number(cell) for cell in cells], dtype=np.float64)
-    wrong = np.flatnonzero(~np.isfinite(read))
-    if wrong.size:
-        row = int(wrong[0])
-        raise BenchmarkError(
-            f"{table}, row {row + 1}: {name} {cells[row][:40]!r} is no number: fetch it again"
-        )
+    read = np.full(len(cells), math.nan)
+    for row, cell in enumerate(cells):
+        with suppress(ValueError):
+            read[row] = float(cell)
+        if not math.isfinite(read[row]):
+            raise BenchmarkError(f"{table}, row {row + 1}: {name} {cell[:40]!r} is no number: fetch it again")
     return read
 
 
@@ -70,19 +70,12 @@ def truths(table: Path, name: str, cells: Sequence[str]) -> Bool[np.ndarray, " n
     """A column of `True` and `False`.
 
     Raises:
-        BenchmarkError: a cell is neither; named by its row.
+        BenchmarkError: If a cell is neither; named by its row.
     """
     for row, cell in enumerate(cells, 1):
         if cell.lower() not in _TRUTHS:
             raise BenchmarkError(f"{table}, row {row}: {name} {cell[:40]!r} is neither True nor False")
     return np.array([_TRUTHS[cell.lower()] for cell in cells], dtype=np.bool_)
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
 
 
 CITIES = {"val": ("cph", "sf")}
@@ -102,10 +95,8 @@ class _Part:
 
 def looked_for(protocol: Protocol) -> list[str]:
     """What is looked for."""
-    return [
-        f"train_val/{city}/{{query,database}}/{{{','.join(TABLES)}}}"
-        for city in CITIES.get(protocol.split, ())
-    ]
+    tables = ",".join(TABLES)
+    return [f"train_val/{city}/{{query,database}}/{{{tables}}}" for city in CITIES.get(protocol.split, ())]
 
 
 def find(root: Path, protocol: Protocol) -> Path | None:
@@ -120,7 +111,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
     """Both sides, all of the protocol's cities one after the other.
 
     Raises:
-        BenchmarkError: a city or a table is missing, a table cannot be read, or its tables do not fit together.
+        BenchmarkError: If a city or a table is missing, a table cannot be read, or its tables do not fit together.
     """
     base = find(root, protocol)
     assert base is not None
@@ -128,13 +119,21 @@ def read(root: Path, protocol: Protocol) -> Sides:
     theirs, ours = (
         [_part(base, f"{city}/{side}", protocol.subset) for city in cities] for side in ("database", "query")
     )
-    zones = [_zone(part.degrees) for part in theirs]
+    # The tables do not say in which zone a city's metres are counted: it is the one zone of the city's middle, also
+    # for photos beyond its edge.
+    zones = []
+    for part in theirs:
+        lat, lon = np.median(part.degrees, axis=0) if len(part.degrees) else (0.0, math.nan)
+        number = 0 if math.isnan(lon) else int(np.clip((lon + 180) // 6 + 1, 1, 60))
+        zones.append(number if lat >= 0 else -number)
     panoramas = sum(part.panoramas for part in (*theirs, *ours))
-    (references, their_place), (queries, our_place) = (_side(base, parts, zones) for parts in (theirs, ours))
+    (references, their_places), (queries, our_places) = (
+        _side(base, parts, zones) for parts in (theirs, ours)
+    )
     return Sides(
         references,
         queries,
-        coordinates=(our_place, their_place),
+        coordinates=(our_places, their_places),
         groups=tuple(name for part in ours for name in part.sequences),
         notes=(f"{panoramas} panoramas were left out",) if panoramas else (),
     )
@@ -148,19 +147,26 @@ def _part(base: Path, side: str, subset: str) -> _Part:
         raise BenchmarkError(f"{folder} lacks {', '.join(missing)}: unpack this city of MSLS there")
     raw, placed, ordered, tasks = (folder / table for table in TABLES)
     seen = columns(raw, ("key", "lon", "lat", "pano"))
-    told = columns(placed, ("key", "easting", "northing"))
+    metric = columns(placed, ("key", "easting", "northing"))
     drives = columns(ordered, ("key", "sequence_key"))
-    if not seen["key"] == told["key"] == drives["key"]:
+    if not seen["key"] == metric["key"] == drives["key"]:
         raise BenchmarkError(
             f"the tables of {folder} do not name the same photos in one order: fetch them again"
         )
     panoramas = truths(raw, "pano", seen["pano"])
-    counts = ~panoramas & _subset(tasks, subset, len(panoramas))
-    rows = np.flatnonzero(counts)
-    metres = np.stack([numbers(placed, name, told[name]) for name in ("easting", "northing")], axis=1)
+    taken = ~panoramas
+    if subset:
+        in_subset = truths(tasks, subset, columns(tasks, (subset,))[subset])
+        if len(in_subset) != len(panoramas):
+            raise BenchmarkError(
+                f"{tasks} has {len(in_subset)} rows, but there are {len(panoramas)} photos: fetch it again"
+            )
+        taken &= in_subset
+    rows = np.flatnonzero(taken)
+    metres = np.stack([numbers(placed, name, metric[name]) for name in ("easting", "northing")], axis=1)
     degrees = np.stack([numbers(raw, name, seen[name]) for name in ("lat", "lon")], axis=1)
     return _Part(
-        [f"{side}/images/{told['key'][row]}.jpg" for row in rows],
+        [f"{side}/images/{metric['key'][row]}.jpg" for row in rows],
         metres[rows],
         degrees[rows],
         [f"{side.split('/')[0]}/{drives['sequence_key'][row]}" for row in rows],
@@ -168,25 +174,8 @@ def _part(base: Path, side: str, subset: str) -> _Part:
     )
 
 
-def _subset(table: Path, column: str, count: int) -> Bool[np.ndarray, " n"]:
-    if not column:
-        return np.ones(count, dtype=np.bool_)
-    taken = truths(table, column, columns(table, (column,))[column])
-    if len(taken) != count:
-        raise BenchmarkError(f"{table} has {len(taken)} rows, but there are {count} photos: fetch it again")
-    return taken
-
-
-def _zone(degrees: Float64[np.ndarray, "n 2"]) -> int:
-    """The one zone that a city's metres are counted in: that of its middle."""
-    if not len(degrees):
-        return 0
-    lat, lon = np.median(degrees, axis=0)
-    number = int(np.clip((lon + 180) // 6 + 1, 1, 60))
-    return number if lat >= 0 else -number
-
-
 def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, Coordinates]:
+    """The photos of all cities, each city's metres counted in its own zone."""
     names = [name for part in parts for name in part.names]
     metres = np.concatenate([part.metres for part in parts])
     zone: Int64[np.ndarray, " n"] = np.repeat(

@@ -19,6 +19,7 @@ from salad.datasets.readers.listed_photos import file_of, panoramas, photos_at
 from salad.datasets.safe_numpy import Arrays, read_npz
 from salad.errors import BenchmarkError
 
+# What the two lists are called where they are arrays in the file: every copy has its own names.
 _LISTS = (("dbImages", "qImages"), ("dbImageFns", "qImageFns"), ("imageNames_index", "imageNames_query"))
 
 
@@ -95,6 +96,7 @@ def _lines(path: Path) -> list[str]:
 
 def _metres(path: Path, given: Arrays, count: int) -> Float64[np.ndarray, "n 2"]:
     metres = given.numbers()
+    # Some copies have a line for east and one for north. Two photos are a square either way, and read as written.
     if metres.shape != (count, 2) and metres.shape == (2, count):
         metres = metres.T
     if metres.shape != (count, 2) or not np.isfinite(metres).all():
