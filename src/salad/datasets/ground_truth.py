@@ -1,10 +1,9 @@
-"""A truth table: which photos of one folder are right for which of another."""
+"""What a user's own set says is right: a table that names photos, or headings that tell who looks the same way."""
 
 from __future__ import annotations
 
-import csv
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from salad.datasets.compact_lists import Ragged, headings
 from salad.errors import BenchmarkError
 from salad.geo import turn_between
 from salad.images.photo import Photo
+from salad.tables import CsvError, read_csv
 
 
 class Names:
@@ -38,6 +38,7 @@ class Names:
         Raises:
             BenchmarkError: If no photo is called so, or several are.
         """
+        # Tables are written on Windows too, and by `find`.
         plain = name.replace("\\", "/").removeprefix("./")
         if plain in self._by_path:
             return self._by_path[plain]
@@ -64,43 +65,37 @@ def read_truth(truth_csv: Path, references: Names, queries: Names) -> dict[int, 
     Raises:
         BenchmarkError: If the table cannot be read, lacks a column, repeats a query or names an unknown photo.
     """
-    truth: dict[int, list[int]] = {}
-    for line, query, positives in _lines(truth_csv):
-        at = f"line {line} of {truth_csv}"
-        row = queries.row(query, at)
-        if row in truth:
-            raise BenchmarkError(f"{at} names the query '{query}' a second time: keep one line a query")
-        names = (positive.strip() for positive in positives.split(";"))
-        truth[row] = [references.row(name, at) for name in names if name]
-    return truth
 
-
-def _lines(truth_csv: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield line number, query and positives."""
-    try:
-        with truth_csv.open(encoding="utf-8-sig", newline="") as file:
-            table = csv.DictReader(file, strict=True)
-            missing = [column for column in ("query", "positives") if column not in (table.fieldnames or ())]
-            if missing:
+    def header(names: list[str]) -> list[str]:
+        for column in ("query", "positives"):
+            if column not in names:
                 raise BenchmarkError(
-                    f"line 1 of {truth_csv} lacks the column '{missing[0]}': "
+                    f"line 1 of {truth_csv} lacks the column '{column}': "
                     "the first line must name the columns query,positives"
                 )
-            for line in table:
-                query, positives = line["query"], line["positives"]
-                if not query or not query.strip() or positives is None:
-                    raise BenchmarkError(
-                        f"line {table.line_num} of {truth_csv} lacks a query or its positives: "
-                        "write query,positives (positives separated by ; and empty where none is right)"
-                    )
-                yield table.line_num, query.strip(), positives
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        return names
+
+    truth: dict[int, list[int]] = {}
+    try:
+        for line, fields in read_csv(truth_csv, header, missing=None):
+            at = f"line {line} of {truth_csv}"
+            query = (fields["query"] or "").strip()
+            # An empty cell says that nothing is right; a line that ends before it says nothing at all.
+            if not query or fields["positives"] is None:
+                raise BenchmarkError(
+                    f"{at} lacks a query or its positives: "
+                    "write query,positives (positives separated by ; and empty where none is right)"
+                )
+            row = queries.row(query, at)
+            if row in truth:
+                raise BenchmarkError(f"{at} names the query '{query}' a second time: keep one line a query")
+            names = (positive.strip() for positive in fields["positives"].split(";"))
+            truth[row] = [references.row(name, at) for name in names if name]
+    except (OSError, UnicodeDecodeError, CsvError) as error:
         raise BenchmarkError(
             f"the truth table {truth_csv} cannot be read ({error}): give a CSV file in UTF-8"
         ) from error
-
-
-# --- Which of the photos nearby also look the same way ---
+    return truth
 
 
 def looking_alike(

@@ -11,7 +11,6 @@ photos too, for `salad index --table`.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Iterator, Sequence
 from datetime import datetime
@@ -28,7 +27,7 @@ from salad.errors import BenchmarkError, PositionError
 from salad.files import write_whole
 from salad.geo import GeoPoint, centre
 from salad.images.photo import SUFFIXES
-from salad.tables import csv_line
+from salad.tables import CsvError, csv_line, read_csv
 
 NAME = "places.csv"
 """What such a table is called in a folder of sets."""
@@ -69,15 +68,15 @@ def _places(root: Path, say: Say | None) -> list[TrainingPlace]:
     children = sorted(child for child in root.iterdir() if child.is_dir())
     # A folder of sets may hold photos in its sets' folders too; of folders that are no sets, each is a place.
     if not any(is_gsv_cities(child) or (child / NAME).is_file() for child in children):
-        found = [TrainingPlace(child.name, root.name, _photos(child)) for child in children]
+        found = []
+        for folder in children:
+            files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+            # A hidden one is what a file manager leaves beside a photo.
+            photos = tuple(path for path in files if not path.name.startswith("."))
+            found.append(TrainingPlace(folder.name, root.name, photos))
         if any(place.photos for place in found):
             return [place for place in found if len(place.photos) >= FEWEST]
     return [place for child in children for place in _places(child, say)]
-
-
-def _photos(folder: Path) -> tuple[Path, ...]:
-    files = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return tuple(sorted(path for path in files if path.suffix.lower() in SUFFIXES))
 
 
 def split(
@@ -170,25 +169,27 @@ def read_places(table: Path, *, say: Say | None = None) -> list[TrainingPlace]:
 
 
 def _rows(table: Path) -> Iterator[_PlaceRow]:
-    try:
-        with table.open(newline="", encoding="utf-8-sig", errors="surrogateescape") as file:
-            lines = csv.DictReader(file, restval="")
-            lacking = {"path", "place"} - set(lines.fieldnames or [])
-            if lacking:
+    def header(names: list[str]) -> list[str]:
+        for column in COLUMNS[:2]:
+            if column not in names:
                 raise BenchmarkError(
-                    f"{table} is no table of places, for it has no column {sorted(lacking)[0]!r}: write "
+                    f"{table} is no table of places, for it has no column {column!r}: write "
                     f"{','.join(COLUMNS)} in its first line, of which path and place must be there"
                 )
-            for fields in lines:
-                try:
-                    yield _row(table, fields)
-                except (ValueError, PositionError) as error:
-                    raise BenchmarkError(
-                        f"{table}, line {lines.line_num}: cannot be read ({error}); correct the line or leave it out"
-                    ) from error
+        return names
+
+    try:
+        # Names of files need not be text: surrogates stand for the bytes that are none, as Path has it.
+        for line, fields in read_csv(table, header, strict=False, errors="surrogateescape"):
+            try:
+                yield _row(table, fields)
+            except (ValueError, PositionError) as error:
+                raise BenchmarkError(
+                    f"{table}, line {line}: cannot be read ({error}); correct the line or leave it out"
+                ) from error
     except OSError as error:
         raise BenchmarkError(f"{table} cannot be read ({error.strerror}): check the name") from error
-    except csv.Error as error:
+    except CsvError as error:
         raise BenchmarkError(f"{table} is not CSV ({error}): save it as CSV with commas") from error
 
 

@@ -11,7 +11,6 @@ Source: Ali-bey et al., "GSV-Cities: Toward appropriate supervised visual place 
 
 from __future__ import annotations
 
-import csv
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +24,7 @@ from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.datasets.training_place import FEWEST, Say, TrainingPlace, tell_missing
 from salad.errors import BenchmarkError, PositionError
 from salad.geo import GeoPoint, centre
+from salad.tables import CsvError, read_csv
 
 TABLES, PHOTOS = "Dataframes", "Images"
 
@@ -76,16 +76,13 @@ def read_gsv_cities(root: Path, *, say: Say | None = None) -> list[TrainingPlace
 
 
 def _rows(table: Path) -> Iterator[_GsvRow]:
-    with table.open(newline="", encoding="utf-8-sig") as file:
-        lines = csv.DictReader(file)
-        while True:
-            try:
-                yield _row(next(lines))
-            except StopIteration:
-                return
-            except (KeyError, TypeError, ValueError, csv.Error, PositionError) as error:
-                number = lines.line_num or 1
-                raise BenchmarkError(f"{table}, line {number}: cannot be read ({error!r})") from error
+    line = 1
+    try:
+        for line, fields in read_csv(table, strict=False, missing=None):
+            yield _row(fields)
+            line += 1  # where the next one begins, should the reader not come to its end
+    except (KeyError, TypeError, ValueError, CsvError, PositionError) as error:
+        raise BenchmarkError(f"{table}, line {line}: cannot be read ({error!r})") from error
 
 
 def _row(fields: dict[str, str]) -> _GsvRow:

@@ -10,7 +10,6 @@ Source: Warburg et al., "Mapillary Street-Level Sequences: A Dataset for Lifelon
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -24,6 +23,7 @@ from salad.datasets.compact_lists import PhotoList
 from salad.datasets.coordinates import Coordinates, lat_lon_of
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
+from salad.tables import CsvError, read_csv
 
 _TRUTHS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False, "": False}
 
@@ -34,19 +34,21 @@ def columns(table: Path, names: Sequence[str]) -> dict[str, list[str]]:
     Raises:
         BenchmarkError: If the table cannot be read, lacks a column, or a line is too short.
     """
+
+    def header(present: list[str]) -> list[str]:
+        for name in names:
+            if name not in present:
+                raise BenchmarkError(f"{table} lacks the column {name!r}: fetch the table again")
+        return present
+
     found: dict[str, list[str]] = {name: [] for name in names}
     try:
-        with table.open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.DictReader(file, strict=True)
-            missing = [name for name in names if name not in (lines.fieldnames or ())]
-            if missing:
-                raise BenchmarkError(f"{table} lacks the column {missing[0]!r}: fetch the table again")
-            for line in lines:
-                for name, cells in found.items():
-                    if line[name] is None:
-                        raise BenchmarkError(f"{table}, line {lines.line_num}: it ends before {name!r}")
-                    cells.append(line[name].strip())
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        for line, fields in read_csv(table, header, missing=None):
+            for name, cells in found.items():
+                if fields[name] is None:
+                    raise BenchmarkError(f"{table}, line {line}: it ends before {name!r}")
+                cells.append(fields[name].strip())
+    except (OSError, UnicodeDecodeError, CsvError) as error:
         raise BenchmarkError(f"the table {table} cannot be read ({error}): fetch it again") from error
     return found
 
