@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salad.evaluation.bootstrap import (
-    Design,
     Interval,
-    Plan,
+    Resampling,
+    SamplingDesign,
     block_length,
     by_block,
     by_group,
@@ -25,7 +25,7 @@ from salad.evaluation.bootstrap import (
 )
 
 Sample = Callable[[np.random.Generator], tuple[np.ndarray, list[str]]]
-Planned = Callable[[np.ndarray, list[str]], Plan]
+Planned = Callable[[np.ndarray, list[str]], Resampling]
 TIMES = 200
 
 
@@ -40,21 +40,21 @@ def covered(sample: Sample, truth: float, *planned: Planned, sets: int) -> list[
     return [count / sets for count in held]
 
 
-def of_share(hits: np.ndarray, plan: Plan, *, seed: int = 0) -> Interval:
+def of_share(hits: np.ndarray, plan: Resampling, *, seed: int = 0) -> Interval:
     draws = [100 * (some @ hits) / some.sum(axis=1) for some in plan.weights(seed=seed, times=TIMES)]
     share = 100 * float(hits.mean())
     return share_interval(share, np.concatenate(draws), units=plan.units, counted=len(hits))
 
 
-def alone(hits: np.ndarray, _: list[str]) -> Plan:
+def alone(hits: np.ndarray, _: list[str]) -> Resampling:
     return by_query(len(hits))
 
 
-def together(_: np.ndarray, groups: list[str]) -> Plan:
+def together(_: np.ndarray, groups: list[str]) -> Resampling:
     return by_group(groups)
 
 
-def along(hits: np.ndarray, _: list[str]) -> Plan:
+def along(hits: np.ndarray, _: list[str]) -> Resampling:
     return by_block(range(len(hits)), hits.tolist())
 
 
@@ -104,7 +104,7 @@ def test_every_draw_is_of_whole_units(queries: int, by: str, seed: int) -> None:
     plan = {
         "query": by_query(queries),
         "group": by_group(groups),
-        "block": Plan("block", queries, np.argsort(np.argsort(order)), min(5, queries)),
+        "block": Resampling("block", queries, np.argsort(np.argsort(order)), min(5, queries)),
     }[by]
     weights = np.concatenate(list(plan.weights(seed=seed, times=7)))
     assert weights.shape == (7, queries)
@@ -119,7 +119,7 @@ def test_every_draw_is_of_whole_units(queries: int, by: str, seed: int) -> None:
 
 
 def test_a_stretch_is_of_neighbours_and_goes_round() -> None:
-    plan = Plan("block", 6, np.array([5, 4, 3, 2, 1, 0]), 3)
+    plan = Resampling("block", 6, np.array([5, 4, 3, 2, 1, 0]), 3)
     for row in np.concatenate(list(plan.weights(seed=0, times=50)))[:, ::-1]:  # along the drive
         starts = [np.roll([1, 1, 1, 0, 0, 0], start) for start in range(6)]
         assert any((row == one + two).all() for one in starts for two in starts)
@@ -185,9 +185,9 @@ def test_intervals_of_growing_shares_grow(ends: dict[int, tuple[float, float]]) 
 def test_designs() -> None:
     values = np.array([1.0, 0.0, 1.0])
     some = np.array([0, 2, 3])
-    grouped = Design("group", groups=("a", "b", "a", "b"))
-    assert grouped.plan(some, values).unit_of.tolist() == [0, 0, 1]
-    assert grouped.plan(some[:2], values[:2]).by == "query"  # one group alone tells no spread
-    block = Design("block", order=(9, 1, 5, 7)).plan(some, values)
+    grouped = SamplingDesign("group", groups=("a", "b", "a", "b"))
+    assert grouped.resampling(some, values).unit_of.tolist() == [0, 0, 1]
+    assert grouped.resampling(some[:2], values[:2]).by == "query"  # one group alone tells no spread
+    block = SamplingDesign("block", order=(9, 1, 5, 7)).resampling(some, values)
     assert (block.by, block.unit_of.tolist()) == ("block", [2, 0, 1])
-    assert Design("query").plan(some, values).units == 3
+    assert SamplingDesign("query").resampling(some, values).units == 3

@@ -16,7 +16,7 @@ from safetensors.numpy import load_file
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
 from salad.evaluation import descriptors
-from salad.evaluation.descriptors import Cache, Described
+from salad.evaluation.descriptors import DescriptorCache, describe_sides
 from salad.evaluation.evaluate import evaluate
 from salad.images.decode import DECODER
 from salad.images.photo import Photo
@@ -66,7 +66,7 @@ def test_the_second_time_nothing_is_described(
 
 def test_files_are_safetensors_and_nothing_else_is_left(drive: Benchmark, tmp_path: Path) -> None:
     model = FakeDescriber(dim=5)
-    Cache(tmp_path / "cache", Described(model, batch_size=4)).sides(drive.references, drive.queries)
+    describe_sides(drive, model, batch_size=4, cache=tmp_path / "cache")
     (path,) = (tmp_path / "cache").rglob("*.*")
     assert path.parent.name == f"{model.fingerprint}-decoder{DECODER}"
     held = load_file(path)
@@ -77,9 +77,9 @@ def test_files_are_safetensors_and_nothing_else_is_left(drive: Benchmark, tmp_pa
 
 def test_rows_come_in_the_order_of_the_photos_whatever_the_block(drive: Benchmark, tmp_path: Path) -> None:
     model = FakeDescriber(dim=3)
-    Cache(tmp_path, Described(model, batch_size=16)).sides(drive.queries, drive.references[4:])
+    DescriptorCache(tmp_path, model).sides(drive.queries, drive.references[4:])
     shuffled = [drive.references[row] for row in (5, 0, 3, 6, 1, 1, 2)]
-    rows, _ = Cache(tmp_path, Described(model, batch_size=16)).sides(shuffled, drive.queries)
+    rows, _ = DescriptorCache(tmp_path, model).sides(shuffled, drive.queries)
     due = model.describe([photo.path for photo in shuffled])
     spare = np.empty((7, 3), np.float32)
     for size in (1, 2, 7):
@@ -161,12 +161,10 @@ def test_a_cache_that_cannot_be(drive: Benchmark, tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_gone_while_it_is_read(drive: Benchmark, tmp_path: Path) -> None:
-    rows, _ = Cache(tmp_path / "cache", Described(FakeDescriber(), batch_size=4)).sides(
-        drive.references, drive.queries
-    )
+    rows, _ = describe_sides(drive, FakeDescriber(), cache=tmp_path / "cache")
     (path,) = (tmp_path / "cache").rglob("*.safetensors")
     path.write_bytes(path.read_bytes()[:300])
-    with pytest.raises(BenchmarkError, match="cut short while"):
+    with pytest.raises(BenchmarkError, match="cannot be read any more"):
         rows.take(np.arange(7))
     path.unlink()
     with pytest.raises(BenchmarkError, match="cannot be read"):

@@ -12,7 +12,7 @@ right. Everything else has the draws' own percentiles.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -38,16 +38,22 @@ class Interval:
         """The two ends, for JSON."""
         return [self.low, self.high]
 
+    @classmethod
+    def from_list(cls, ends: Sequence[float]) -> Interval:
+        """What `as_list` wrote."""
+        low, high = ends
+        return cls(float(low), float(high))
+
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Resampling:
     """What is drawn again together.
 
     Attributes:
-        by: single queries, groups of them, or stretches of a drive.
-        queries: how many there are.
+        by: Single queries, groups of them, or stretches of a drive.
+        queries: How many there are.
         unit_of: `[queries]` the group of each query, or its place along the drive.
-        length: queries in a stretch; 1 where they are not drawn by stretches.
+        length: Queries in a stretch; 1 where they are not drawn by stretches.
     """
 
     by: By
@@ -57,7 +63,7 @@ class Plan:
 
     @property
     def units(self) -> int:
-        """How many things that do not hang together there are: a share of them is drawn each time."""
+        """How many things that do not hang together there are: so many are drawn each time."""
         if self.by == "group":
             return int(self.unit_of.max()) + 1
         return max(1, round(self.queries / self.length))
@@ -65,6 +71,12 @@ class Plan:
     def as_dict(self) -> dict[str, Any]:
         """What a reader of the figures should know of it."""
         return {"by": self.by, "units": self.units, "length": self.length, "level": LEVEL}
+
+    def draws(
+        self, statistic: Callable[[Weights], Float64[np.ndarray, "some figures"]], *, seed: int, times: int
+    ) -> Float64[np.ndarray, "draws figures"]:
+        """A statistic of each draw, given how often each query is drawn."""
+        return np.concatenate([statistic(weights) for weights in self.weights(seed=seed, times=times)])
 
     def weights(self, *, seed: int, times: int = TIMES) -> Iterator[Weights]:
         """How often each query is drawn, draw after draw, some draws `[n, queries]` at a time."""
@@ -74,36 +86,37 @@ class Plan:
         for low in range(0, times, step):
             count = min(step, times - low)
             drawn = rng.integers(0, starts, (count, self.units))
-            drawn += starts * np.arange(count)[:, None]
+            drawn += starts * np.arange(count)[:, None]  # so that one bincount serves all draws
             counts = np.bincount(drawn.ravel(), minlength=count * starts).reshape(count, starts)
-            yield self._spread(counts.astype(np.float64))
-
-    def _spread(self, counts: Float64[np.ndarray, "draws starts"]) -> Weights:
-        if self.by == "block":  # a stretch goes round the end of the drive to its beginning
-            length = min(self.length, self.queries)
-            round_ = np.concatenate([counts[:, self.queries - length :], counts], axis=1)
-            sums = np.cumsum(round_, axis=1)
-            counts = sums[:, length:] - sums[:, : self.queries]
-        return counts[:, self.unit_of]
+            counts = counts.astype(np.float64)
+            if self.by == "block":  # a stretch goes round the end of the drive to its beginning
+                length = min(self.length, self.queries)
+                round_ = np.concatenate([counts[:, self.queries - length :], counts], axis=1)
+                sums = np.cumsum(round_, axis=1)
+                counts = sums[:, length:] - sums[:, : self.queries]
+            yield counts[:, self.unit_of]
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class SamplingDesign:
     """Which queries of a set hang together; a measure of some of them draws those by it.
 
     Attributes:
-        by: single queries, groups of them, or stretches of a drive.
-        groups: the group of each query, where they are drawn by groups.
-        order: the frame number of each query, where they are drawn by stretches.
+        by: Single queries, groups of them, or stretches of a drive.
+        groups: The group of each query, where they are drawn by groups.
+        order: The frame number of each query, where they are drawn by stretches.
     """
 
     by: By
     groups: tuple[str, ...] = ()
     order: tuple[int, ...] = ()
 
-    def plan(self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]) -> Plan:
+    def resampling(
+        self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]
+    ) -> Resampling:
         """How to draw some of the queries again, given what each of them came to."""
         rows = those.tolist()
+        # One group alone has nothing to vary against: then its queries count as single ones.
         if self.by == "group" and len({self.groups[row] for row in rows}) > 1:
             return by_group([self.groups[row] for row in rows])
         if self.by == "block":
@@ -111,28 +124,28 @@ class Design:
         return by_query(len(rows))
 
 
-def by_query(queries: int) -> Plan:
+def by_query(queries: int) -> Resampling:
     """Every query by itself."""
-    return Plan("query", queries, np.arange(queries))
+    return Resampling("query", queries, np.arange(queries))
 
 
-def by_group(groups: Sequence[str]) -> Plan:
+def by_group(groups: Sequence[str]) -> Resampling:
     """Queries of one group together: `groups` names each query's."""
     _, unit_of = np.unique(np.asarray(groups), return_inverse=True)
-    return Plan("group", len(groups), unit_of.astype(np.int64).reshape(-1))
+    return Resampling("group", len(groups), unit_of.astype(np.int64).reshape(-1))
 
 
-def by_block(order: Sequence[int], values: Sequence[float]) -> Plan:
+def by_block(order: Sequence[int], values: Sequence[float]) -> Resampling:
     """Neighbouring frames of one drive together, in stretches of `block_length`.
 
     Args:
-        order: the frame number of each query.
-        values: what each query came to, in the same order.
+        order: The frame number of each query.
+        values: What each query came to, in the same order.
     """
     along = np.argsort(np.asarray(order), kind="stable")
     place = np.empty(len(along), dtype=np.int64)
     place[along] = np.arange(len(along))
-    return Plan("block", len(along), place, block_length(np.asarray(values, dtype=np.float64)[along]))
+    return Resampling("block", len(along), place, block_length(np.asarray(values, dtype=np.float64)[along]))
 
 
 def block_length(series: Float64[np.ndarray, " frames"]) -> int:
@@ -145,35 +158,27 @@ def block_length(series: Float64[np.ndarray, " frames"]) -> int:
     too small; an interval must rather not be too short, so twice the length is taken, at most a sixth of the drive.
     """
     count = len(series)
-    length = max(math.cbrt(count), _memory(series))
-    return max(1, min(2 * math.ceil(length), count // 6))
-
-
-def _memory(series: Float64[np.ndarray, " frames"]) -> float:
-    """Politis and White's length (their section 3.2); 0 where the series does not vary."""
-    count = len(series)
     centred = series - series.mean()
     variance = float(centred @ centred) / count
-    if variance < 1e-12:
-        return 0.0
-    lags = min(count - 1, math.ceil(math.sqrt(count)) + max(5, math.ceil(math.log10(count))))
-    covariance = np.array([float(centred[: count - lag] @ centred[lag:]) / count for lag in range(lags + 1)])
-    reach = min(2 * _last_lag(covariance / variance, count), lags)
-    lag = np.arange(1, reach + 1)
-    tapered = np.clip(2 * (1 - lag / max(reach, 1)), 0, 1) * covariance[1 : reach + 1]  # flat, then falling
-    long_run = variance + 2 * float(tapered.sum())
-    slope = 2 * float((lag * tapered).sum())
-    return float((1.5 * slope**2 / long_run**2 * count) ** (1 / 3)) if long_run > 0 else 0.0
-
-
-def _last_lag(correlation: Float64[np.ndarray, " lags"], count: int) -> int:
-    """The last lag before a run of insignificant ones; at least 1."""
-    run = max(5, math.ceil(math.log10(count)))
-    small = np.abs(correlation[1:]) < 2 * math.sqrt(math.log10(max(count, 2)) / count)
-    for lag in range(len(small) - run + 1):
-        if small[lag : lag + run].all():
-            return max(1, lag)
-    return max(1, len(small))
+    length = math.cbrt(count)
+    if variance > 1e-12:  # else nothing varies, and there is no memory to measure
+        significant = max(
+            5, math.ceil(math.log10(count))
+        )  # so many small ones in a row, and the memory has ended
+        lags = min(count - 1, math.ceil(math.sqrt(count)) + significant)
+        covariance = np.array(
+            [float(centred[: count - lag] @ centred[lag:]) / count for lag in range(lags + 1)]
+        )
+        small = np.abs(covariance[1:] / variance) < 2 * math.sqrt(math.log10(max(count, 2)) / count)
+        runs = (lag for lag in range(len(small) - significant + 1) if small[lag : lag + significant].all())
+        reach = min(2 * max(1, next(runs, len(small))), lags)
+        lag = np.arange(1, reach + 1)
+        # A flat-top window: whole up to half the reach, then falling to 0.
+        tapered = np.clip(2 * (1 - lag / max(reach, 1)), 0, 1) * covariance[1 : reach + 1]
+        long_run, slope = variance + 2 * float(tapered.sum()), 2 * float((lag * tapered).sum())
+        if long_run > 0:  # 1.5 is the circular bootstrap's constant: the variance of its variance goes by 4/3
+            length = max(length, (1.5 * slope**2 / long_run**2 * count) ** (1 / 3))
+    return max(1, min(2 * math.ceil(length), count // 6))
 
 
 def share_interval(
@@ -182,23 +187,22 @@ def share_interval(
     """The interval of a share, in percent.
 
     Args:
-        share: what was found, in percent.
-        draws: the same of each draw.
-        units: how many things that do not hang together were drawn from.
-        counted: how many queries the share is of: it is never taken for surer than that many independent ones.
+        share: What was found, in percent.
+        draws: The same of each draw.
+        units: How many things that do not hang together were drawn from.
+        counted: How many queries the share is of: it is never taken for surer than that many independent ones.
     """
     from scipy.special import stdtrit  # late: whoever only reads a saved result does without scipy
 
     part = share / 100
-    # Drawn from themselves, units vary too little.
+    # Drawn from themselves, units vary too little: by n - 1 of n.
     spread = float(np.var(draws / 100)) * units / max(1, units - 1)
     worth = part * (1 - part) / spread if spread > 1e-15 else math.inf
     if part in (0, 1):  # nothing varies, so nothing tells how far queries hang together: take it that they do
         worth = float(units)
     worth = min(max(worth, 1.0), counted)
-    wide = (
-        float(stdtrit(max(units - 1, 1), (1 + LEVEL) / 2)) ** 2
-    )  # Student's t in place of the normal's 1.96
+    # Student's t in place of the normal's 1.96: few units tell little of how far they vary themselves.
+    wide = float(stdtrit(max(units - 1, 1), (1 + LEVEL) / 2)) ** 2
     middle = (part + wide / (2 * worth)) / (1 + wide / worth)
     half = math.sqrt(wide * (part * (1 - part) / worth + wide / (4 * worth**2))) / (1 + wide / worth)
     low, high = 0.0 if part == 0 else middle - half, 1.0 if part == 1 else middle + half

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,38 +9,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float64
 
 from salad.datasets.benchmark import Benchmark, Unanswerable
 from salad.errors import BenchmarkError
-from salad.evaluation import metrics
-from salad.evaluation.bootstrap import (
-    TIMES,
-    Design,
-    Interval,
-    Plan,
-    nested,
-    percentile_interval,
-    share_interval,
-)
-from salad.evaluation.descriptors import Cache, Described
-from salad.evaluation.external import depth, read_descriptors, read_rankings
+from salad.evaluation.bootstrap import TIMES, SamplingDesign
+from salad.evaluation.descriptors import describe_sides
+from salad.evaluation.external import read_descriptors, read_rankings
 from salad.evaluation.leaks import find_leaks
-from salad.evaluation.metrics import KS, Answers, check_countable
+from salad.evaluation.metrics import KS, distances, precision_recall, recall
 from salad.evaluation.result import (
-    Distances,
-    PrecisionRecall,
     QueryResult,
     Ranked,
+    Reference,
     Result,
     along,
-    answers,
+    below,
+    digests_of,
     folder_of,
-    known,
-    names_digest,
-    rows_digest,
-    verdicts_of,
 )
+from salad.geo import metres_between
 from salad.localize.locate import calibration_of
 from salad.search.base import DamagedRowError, Rows, SearcherFactory
 from salad.search.exact import ExactSearcher
@@ -50,24 +36,24 @@ from salad.search.hubness import Centred, mean_of_all
 if TYPE_CHECKING:
     from salad.models.describer import Describes
 
-
-# --- From what was found for each query to a result: recall, curve, metres, each with how sure it is ---
-
-
+CENTRED = "scores leave out what all references have in common, as `salad locate` does with this model"
+NO_DESCRIPTOR = (
+    "the descriptor of {role} {row} (from 0) holds NaN, infinity or numbers too large to multiply: check the model and "
+    "the photo it came from"
+)
 DRIVES = ("frames", "nordland")  # protocols whose queries are the frames of one drive
-Statistic = Callable[[Float64[np.ndarray, "draws queries"]], Float64[np.ndarray, "draws figures"]]
 
 
 @dataclass(frozen=True, slots=True)
 class EvalSettings:
-    """On what settings a benchmark is judged.
+    """How a benchmark is judged.
 
     Attributes:
-        ks: which recalls to report.
-        unanswerable: whether queries without a right reference are left out or are misses; the benchmark's own rule
+        ks: Which recalls to report.
+        unanswerable: Whether queries without a right reference are left out or are misses; the benchmark's own rule
             where not given.
-        seed: of the draws that tell how sure the figures are.
-        times: how many draws.
+        seed: Of the draws that tell how sure the figures are.
+        times: How many draws.
     """
 
     ks: Sequence[int] = KS
@@ -75,178 +61,20 @@ class EvalSettings:
     seed: int = 0
     times: int = TIMES
 
-    def rule(self, benchmark: Benchmark) -> Unanswerable:
-        """What becomes of queries without a right reference."""
-        return self.unanswerable or benchmark.unanswerable_rule
-
     def check(self, benchmark: Benchmark) -> None:
         """Refuse a senseless k or a set without an answer now, not after an hour of describing.
 
         Raises:
-            BenchmarkError: there would be no recall to give.
+            BenchmarkError: If there would be no recall to give.
         """
-        check_countable(benchmark.positives, self.ks, unanswerable=self.rule(benchmark))
-
-
-def judge(
-    benchmark: Benchmark,
-    ranked: Ranked,
-    settings: EvalSettings,
-    *,
-    model: str,
-    fingerprint: str = "",
-    seconds: float = 0.0,
-    notes: Sequence[str] = (),
-) -> Result:
-    """Judge what was found for each query.
-
-    Args:
-        benchmark: the set and its ground truth.
-        ranked: the references found for each query, best first.
-        settings: on what settings.
-        model: what to call whatever found them.
-        fingerprint: the model's, where it has one.
-        seconds: how long it took.
-        notes: sentences to add to the benchmark's own.
-
-    Raises:
-        BenchmarkError: there is not one ranking a query, or no recall to give.
-    """
-    settings.check(benchmark)
-    if len(ranked.rows) != len(benchmark.queries):
-        raise BenchmarkError(
-            f"{len(ranked.rows)} rankings but {len(benchmark.queries)} queries: give one of each"
-        )
-    folders = folder_of(benchmark.references), folder_of(benchmark.queries)
-    verdicts = verdicts_of(benchmark, ranked, folders[1])
-    rule = settings.rule(benchmark)
-    result = Result(
-        benchmark=benchmark.name,
-        protocol=benchmark.protocol + _said(rule, benchmark.unanswerable_rule),
-        queries=len(benchmark.queries),
-        references=len(benchmark.references),
-        unanswerable=sum(not one.positives for one in verdicts),
-        recall={},
-        model=model,
-        seconds=seconds,
-        notes=(*benchmark.notes, *notes),
-        fingerprint=fingerprint,
-        unanswerable_rule=rule,
-        per_query=verdicts,
-        known=known(benchmark, verdicts, folders[0]),
-        folders=folders,
-        digests=(names_digest(benchmark.references, folders[0]), rows_digest(benchmark.positives)),
-    )
-    return measured(result, settings, design_of(benchmark))
-
-
-def measured(result: Result, settings: EvalSettings, design: Design) -> Result:
-    """The result with every figure that its verdicts give."""
-    recall, intervals, drawn = _recalls(result, settings, design)
-    found = answers(result.per_query)
-    return replace(
-        result,
-        recall=recall,
-        intervals=intervals,
-        drawn=drawn,
-        precision_recall=None if found is None else _precision_recall(found, settings, design),
-        distances=_distances(result, settings, design),
-    )
-
-
-def design_of(benchmark: Benchmark) -> Design:
-    """Which queries hang together: those of a group where groups are known, and the frames of one drive."""
-    if benchmark.groups is not None and len(set(benchmark.groups)) > 1:
-        return Design("group", groups=benchmark.groups)
-    if benchmark.protocol.startswith(DRIVES):
-        return Design("block", order=along([photo.path for photo in benchmark.queries]))
-    return Design("query")
-
-
-# --- figures -------------------------------------------------------------------------------
-
-
-def _recalls(
-    result: Result, settings: EvalSettings, design: Design
-) -> tuple[dict[int, float], dict[int, Interval], dict[str, object]]:
-    those = np.array([number for number, one in enumerate(result.per_query) if result.counts(one)])
-    hits = np.array(
-        [[result.per_query[number].hit(k) for k in settings.ks] for number in those], dtype=np.float64
-    )
-    plan = design.plan(those, hits[:, 0])
-    draws = _drawn(
-        plan, settings, lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True)
-    )
-    recall = {k: float(100.0 * hits[:, column].mean()) for column, k in enumerate(settings.ks)}
-    intervals = {
-        k: share_interval(recall[k], draws[:, column], units=plan.units, counted=len(those))
-        for column, k in enumerate(settings.ks)
-    }
-    return recall, nested(intervals), {**plan.as_dict(), "times": settings.times, "seed": settings.seed}
-
-
-def _precision_recall(found: Answers, settings: EvalSettings, design: Design) -> PrecisionRecall | None:
-    if not np.isfinite(found.scores).any():
-        return None
-    plan = design.plan(np.arange(len(found.scores)), found.right.astype(np.float64))
-    draws = _drawn(plan, settings, found.area_and_full)
-    curve = found.curve()
-    return PrecisionRecall(
-        curve.area,
-        curve.recall_at_full_precision,
-        curve.surest,
-        percentile_interval(draws[:, 0]),
-        percentile_interval(draws[:, 1]),
-    )
-
-
-def _distances(result: Result, settings: EvalSettings, design: Design) -> Distances | None:
-    counted = {number: one for number, one in enumerate(result.per_query) if result.counts(one)}
-    apart = {number: _apart(one) for number, one in counted.items()}
-    placed = {number: far for number, far in apart.items() if not math.isnan(far)}
-    if not placed or all(map(math.isinf, placed.values())):
-        return None
-    far = np.array(list(placed.values()))
-    plan = design.plan(np.array(list(placed)), (far <= metrics.WITHIN_M[-1]).astype(np.float64))
-    draws = _drawn(
-        plan,
-        settings,
-        lambda weights: np.column_stack(
-            [metrics.distance_medians(far, weights), metrics.shares_within(far, weights)]
-        ),
-    )
-    within = metrics.shares_within(far, np.ones((1, len(far))))[0]
-    return Distances(
-        known=len(far),
-        median=float(np.median(far)),
-        median_interval=percentile_interval(draws[:, 0]),
-        within=dict(zip(metrics.WITHIN_M, within.tolist(), strict=True)),
-        within_intervals={
-            limit: share_interval(float(share), draw, units=plan.units, counted=len(far))
-            for limit, share, draw in zip(metrics.WITHIN_M, within, draws[:, 1:].T, strict=True)
-        },
-    )
-
-
-def _apart(one: QueryResult) -> float:
-    if one.metres is not None:
-        return one.metres
-    return math.inf if one.where is not None and not one.matches else math.nan
-
-
-def _drawn(plan: Plan, settings: EvalSettings, statistic: Statistic) -> Float64[np.ndarray, "draws figures"]:
-    return np.concatenate(
-        [statistic(some) for some in plan.weights(seed=settings.seed, times=settings.times)]
-    )
-
-
-def _said(rule: Unanswerable, own: Unanswerable) -> str:
-    if rule == own:  # then it is part of what the protocol's name means
-        return ""
-    return f", unanswerable queries {'count as misses' if rule == 'miss' else 'left out'}"
-
-
-CENTRED = "scores leave out what all references have in common, as `salad locate` does with this model"
+        if not self.ks or min(self.ks) < 1:
+            raise BenchmarkError(f"recall at {list(self.ks)} makes no sense: give whole numbers from 1")
+        rule = self.unanswerable or benchmark.unanswerable_rule
+        if rule != "miss" and not any(right.size for right in benchmark.positives):
+            raise BenchmarkError(
+                f"none of {len(benchmark.positives)} queries has a right reference, so there is no recall to give: "
+                "check the ground truth, the tolerance or the radius"
+            )
 
 
 def evaluate(
@@ -279,27 +107,84 @@ def evaluate(
         progress: Told how many photos are described, and of how many.
 
     Raises:
-        BenchmarkError: A photo cannot be read (a figure with holes is no figure), no query has an answer, or the cache
-            cannot be written.
-        ModelError: The model gives descriptors of another shape than it says, or numbers that are not finite.
+        BenchmarkError: If a photo cannot be read (a figure with holes is no figure), no query has an answer, or the
+            cache cannot be written.
+        ModelError: If the model gives descriptors of another shape than it says, or numbers that are not finite.
     """
     settings = EvalSettings(ks, unanswerable, seed)
     settings.check(benchmark)
     began = time.perf_counter()
-    described = Described(model, batch_size=batch_size)
-    source = described if cache is None else Cache(cache, described)
-    references, queries = source.sides(benchmark.references, benchmark.queries, progress=progress)
-    own = calibration_of(model).centred
-    ranked = rank(queries, references, k=max(ks), centred=own and not plain, searcher=searcher)
+    references, queries = describe_sides(
+        benchmark, model, batch_size=batch_size, cache=cache, progress=progress
+    )
+    centred = calibration_of(model).centred  # judged as `locate` uses it, unless asked for the published way
+    ranked = rank(queries, references, k=max(ks), centred=centred and not plain, searcher=searcher)
     return judge(
         benchmark,
         ranked,
         settings,
-        model=f"{model.name}, plain" if own and plain else model.name,
-        notes=(CENTRED,) if own and not plain else (),
+        model=f"{model.name}, plain" if centred and plain else model.name,
+        notes=(CENTRED,) if centred and not plain else (),
         fingerprint=model.fingerprint,
         seconds=time.perf_counter() - began,
     )
+
+
+def evaluate_descriptors(
+    benchmark: Benchmark,
+    references: Path,
+    queries: Path,
+    *,
+    name: str,
+    settings: EvalSettings | None = None,
+    searcher: SearcherFactory = ExactSearcher,
+) -> Result:
+    """Judge descriptors that somebody else made: two `.npy` files, rows in the order of the benchmark's photos.
+
+    Args:
+        benchmark: The set and its ground truth.
+        references: Descriptors of the references, `[references, dim]`.
+        queries: Descriptors of the queries, `[queries, dim]`.
+        name: What to call the method.
+        settings: How to judge, where not as usual.
+        searcher: What finds the references of each query.
+
+    Raises:
+        BenchmarkError: If a file cannot be read or does not fit the set, or no query has an answer.
+    """
+    settings = settings or EvalSettings()
+    settings.check(benchmark)
+    began = time.perf_counter()
+    known, asked, notes = read_descriptors(benchmark, references, queries)
+    ranked = rank(asked, known, k=max(settings.ks), searcher=searcher)
+    seconds = time.perf_counter() - began
+    return judge(benchmark, ranked, settings, model=name, seconds=seconds, notes=notes)
+
+
+def evaluate_rankings(
+    benchmark: Benchmark, rankings: Path, *, name: str, settings: EvalSettings | None = None
+) -> Result:
+    """Judge ranked lists that somebody else made, in the form of the MSLS challenge.
+
+    Args:
+        benchmark: The set and its ground truth.
+        rankings: The file.
+        name: What to call the method.
+        settings: How to judge, where not as usual; a k beyond the longest list is left out.
+
+    Raises:
+        BenchmarkError: If the file cannot be read or does not fit the set, or no query has an answer.
+    """
+    settings = settings or EvalSettings()
+    settings.check(benchmark)
+    began = time.perf_counter()
+    ranked, notes = read_rankings(benchmark, rankings)
+    # Beyond the longest list nothing was asked of the method, unless that list holds all there is.
+    deepest = ranked.rows.shape[1]
+    whole = deepest >= len(benchmark.references)
+    settings = replace(settings, ks=tuple(k for k in settings.ks if k <= deepest or whole) or (1,))
+    seconds = time.perf_counter() - began
+    return judge(benchmark, ranked, settings, model=name, seconds=seconds, notes=notes)
 
 
 def rank(
@@ -322,104 +207,137 @@ def rank(
         searcher: What finds them.
 
     Raises:
-        BenchmarkError: The two sides do not fit, or hold numbers that are not finite.
+        BenchmarkError: If the two sides do not fit, or hold numbers that are not finite.
     """
     if queries.dim != references.dim:
         raise BenchmarkError(
             f"queries have {queries.dim} numbers each and references {references.dim}: describe both with one model"
         )
     asked = queries.take(np.arange(len(queries))).astype(np.float32, copy=False)
+    # A sum of squares shows what is not finite, and what is too large to multiply as well.
     with np.errstate(over="ignore", invalid="ignore"):
         bad = np.flatnonzero(~np.isfinite(np.einsum("ij,ij->i", asked, asked)))
     if bad.size:
-        raise _no_descriptor("query", int(bad[0]))
+        raise BenchmarkError(NO_DESCRIPTOR.format(role="query", row=int(bad[0])))
     try:
         finds = searcher(references)
         if centred:
             finds = Centred(finds, mean_of_all(references))
         hits = finds.search(asked, k=k)
     except DamagedRowError as error:
-        raise _no_descriptor("reference", error.row) from error
+        raise BenchmarkError(NO_DESCRIPTOR.format(role="reference", row=error.row)) from error
     return Ranked(hits.rows, hits.scores)
 
 
-def _no_descriptor(role: str, row: int) -> BenchmarkError:
-    return BenchmarkError(
-        f"the descriptor of {role} {row} (from 0) holds NaN, infinity or numbers too large to multiply: check the "
-        "model and the photo it came from"
+def judge(
+    benchmark: Benchmark,
+    ranked: Ranked,
+    settings: EvalSettings,
+    *,
+    model: str,
+    fingerprint: str = "",
+    seconds: float = 0.0,
+    notes: Sequence[str] = (),
+) -> Result:
+    """Judge what was found for each query.
+
+    Args:
+        benchmark: The set and its ground truth, for which `settings.check` has passed.
+        ranked: The references found for each query, best first.
+        settings: How to judge.
+        model: What to call whatever found them.
+        fingerprint: The model's, where it has one.
+        seconds: How long it took.
+        notes: Sentences to add to the benchmark's own.
+
+    Raises:
+        BenchmarkError: If there is not one ranking a query.
+    """
+    references, queries = folder_of(benchmark.references), folder_of(benchmark.queries)
+    per_query = query_results(benchmark, ranked, queries)
+    rule = settings.unanswerable or benchmark.unanswerable_rule
+    said = ""
+    if rule != benchmark.unanswerable_rule:  # the protocol's own rule is part of what its name means
+        said = f", unanswerable queries {'count as misses' if rule == 'miss' else 'left out'}"
+    counted = np.array([number for number, one in enumerate(per_query) if rule == "miss" or one.positives])
+    if benchmark.groups is not None and len(set(benchmark.groups)) > 1:
+        design = SamplingDesign("group", groups=benchmark.groups)
+    elif benchmark.protocol.startswith(DRIVES):
+        design = SamplingDesign("block", order=along([photo.path for photo in benchmark.queries]))
+    else:
+        design = SamplingDesign("query")
+    seed, times = settings.seed, settings.times
+    found = recall(per_query, counted, settings.ks, design, seed=seed, times=times)
+    named = sorted({row for one in per_query for row in (*one.matches, one.right) if row is not None})
+    return Result(
+        benchmark=benchmark.name,
+        protocol=benchmark.protocol + said,
+        queries=len(benchmark.queries),
+        references=len(benchmark.references),
+        unanswerable=sum(not one.positives for one in per_query),
+        recall=found.at,
+        model=model,
+        seconds=seconds,
+        notes=(*benchmark.notes, *notes),
+        fingerprint=fingerprint,
+        unanswerable_rule=rule,
+        intervals=found.intervals,
+        drawn=found.drawn,
+        precision_recall=precision_recall(per_query, design, seed=seed, times=times),
+        distances=distances(per_query, counted, design, seed=seed, times=times),
+        per_query=per_query,
+        known={row: Reference.of(benchmark.references[row], references) for row in named},
+        folders=(references, queries),
+        digests=digests_of(benchmark, references),
     )
 
 
-def evaluate_descriptors(
-    benchmark: Benchmark,
-    references: Path,
-    queries: Path,
-    *,
-    name: str,
-    settings: EvalSettings | None = None,
-    searcher: SearcherFactory = ExactSearcher,
-) -> Result:
-    """Judge descriptors that somebody else made: two `.npy` files, rows in the order of the benchmark's photos.
-
-    Args:
-        benchmark: the set and its ground truth.
-        references: descriptors of the references.
-        queries: descriptors of the queries.
-        name: what to call the method.
-        settings: on what settings, where not the usual ones.
-        searcher: what finds the references of each query.
+def query_results(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[QueryResult, ...]:
+    """What became of each query, named by its path below a folder.
 
     Raises:
-        BenchmarkError: a file cannot be read or does not fit the set, or no query has an answer.
+        BenchmarkError: If there is not one ranking a query.
     """
-    settings = settings or EvalSettings()
-    settings.check(benchmark)
-    began = time.perf_counter()
-    known, asked, notes = read_descriptors(benchmark, references, queries)
-    ranked = rank(asked, known, k=max(settings.ks), searcher=searcher)
-    seconds = time.perf_counter() - began
-    return judge(benchmark, ranked, settings, model=name, seconds=seconds, notes=notes)
-
-
-def evaluate_rankings(
-    benchmark: Benchmark, rankings: Path, *, name: str, settings: EvalSettings | None = None
-) -> Result:
-    """Judge ranked lists that somebody else made, in the form of the MSLS challenge.
-
-    Args:
-        benchmark: the set and its ground truth.
-        rankings: the file.
-        name: what to call the method.
-        settings: on what settings, where not the usual ones; a k beyond the longest list is left out.
-
-    Raises:
-        BenchmarkError: the file cannot be read or does not fit the set, or no query has an answer.
-    """
-    settings = settings or EvalSettings()
-    settings.check(benchmark)
-    began = time.perf_counter()
-    ranked, notes = read_rankings(benchmark, rankings)
-    ks = depth(ranked, len(benchmark.references), settings.ks)
-    seconds = time.perf_counter() - began
-    return judge(benchmark, ranked, replace(settings, ks=ks), model=name, seconds=seconds, notes=notes)
+    if len(ranked.rows) != len(benchmark.queries):
+        raise BenchmarkError(
+            f"{len(ranked.rows)} rankings but {len(benchmark.queries)} queries: give one of each"
+        )
+    results = []
+    for number, (rows, right) in enumerate(zip(ranked.rows, benchmark.positives, strict=True)):
+        query = benchmark.queries[number]
+        found = rows >= 0  # searches pad with -1
+        hits = np.flatnonzero(np.isin(rows, right))
+        first = rows[hits[0]] if hits.size else right[0] if len(right) else None
+        best = benchmark.references[int(rows[0])].where if found[:1].any() else None
+        results.append(
+            QueryResult(
+                query=below(query.path, folder),
+                positives=len(right),
+                first_right=int(hits[0]) + 1 if hits.size else None,
+                matches=tuple(rows[found].tolist()),
+                scores=None if ranked.scores is None else tuple(ranked.scores[number][found].tolist()),
+                right=None if first is None else int(first),
+                metres=metres_between(query.where, best) if query.where and best else None,
+                where=(query.where.lat, query.where.lon) if query.where else None,
+                group=benchmark.groups[number] if benchmark.groups is not None else None,
+            )
+        )
+    return tuple(results)
 
 
 def with_leaks(result: Result, benchmark: Benchmark) -> Result:
     """The result with the photos that are in both sides.
 
     Raises:
-        BenchmarkError: a photo cannot be read.
+        BenchmarkError: If a photo cannot be read.
     """
-    matches = [one.matches for one in result.per_query]
     scores = [one.scores for one in result.per_query if one.scores is not None]
-    found = find_leaks(
+    # Only cosines tell what is alike enough to be looked at; descriptors from outside may be of any length.
+    cosines = all(abs(score) <= 1.01 for some in scores for score in some)
+    leaks = find_leaks(
         benchmark.queries,
         benchmark.references,
-        matches=matches,
-        scores=scores if len(scores) == len(matches) and _are_cosines(scores) else None,
+        matches=[one.matches for one in result.per_query],
+        scores=scores if len(scores) == len(result.per_query) and cosines else None,
     )
-    return replace(result, leaks=found)
-
-
-def _are_cosines(scores: Sequence[Sequence[float]]) -> bool:
-    return all(abs(score) <= 1.01 for told in scores for score in told)
+    return replace(result, leaks=leaks)

@@ -6,20 +6,18 @@ suffix, which is what the challenge calls it; its path below the folder does too
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int64
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, StoreError
-from salad.evaluation.result import Ranked, Result, below, folder_of
-from salad.files import write_whole
+from salad.evaluation.result import Ranked, Result, below, folder_of, write_file
 from salad.images.photo import Photo
 from salad.index.vectors import FileRows
 
-_NUMBERS = 1 << 22  # numbers looked at at once
+_NUMBERS = 1 << 22  # numbers looked at at once: 32 MiB as float64
 
 
 def read_descriptors(
@@ -31,48 +29,30 @@ def read_descriptors(
         Both sides, read from the files as they are asked for, and a sentence about their lengths.
 
     Raises:
-        BenchmarkError: a file cannot be read, or holds other counts or numbers that are not finite.
+        BenchmarkError: If a file cannot be read, or holds other counts or numbers that are not finite.
     """
-    sides = []
+    sides, shortest, longest = [], np.inf, 0.0
     for path, photos, role in (
         (references, benchmark.references, "references"),
         (queries, benchmark.queries, "queries"),
     ):
-        matrix = _matrix(path)
-        if matrix.rows != len(photos):
+        try:
+            rows = FileRows.of_npy(path)
+        except StoreError as error:
+            raise BenchmarkError(str(error)) from error
+        if len(rows) != len(photos):
             raise BenchmarkError(
-                f"{path} has {matrix.rows} rows, but there are {len(photos)} {role}: give a row a photo, in the order "
+                f"{path} has {len(rows)} rows, but there are {len(photos)} {role}: give a row a photo, in the order "
                 f"of the set's photos (the first is {photos[0].path})"
             )
-        sides.append(matrix)
+        sides.append(rows)
     one, two = sides
     if one.dim != two.dim:
         raise BenchmarkError(
             f"{references} has {one.dim} numbers a row and {queries} {two.dim}: describe both with one model"
         )
-    return one, two, _lengths_told((references, one), (queries, two))
-
-
-def write_photos(photos: Sequence[Photo], path: Path) -> None:
-    """Write the photos' paths in their order, one a line: what descriptors from outside are to be made of.
-
-    Raises:
-        BenchmarkError: the file cannot be written.
-    """
-    _write(path, (str(photo.path) for photo in photos))
-
-
-def _matrix(path: Path) -> FileRows:
-    try:
-        return FileRows.of_npy(path)
-    except StoreError as error:
-        raise BenchmarkError(str(error)) from error
-
-
-def _lengths_told(*sides: tuple[Path, FileRows]) -> tuple[str, ...]:
-    """Make sure that all numbers are finite, and say whether rows are of length 1."""
-    least, most = np.inf, 0.0
-    for path, rows in sides:
+    # All of both files is read here, before anything is ranked: a hole found at the end of an hour is found too late.
+    for path, rows in ((references, one), (queries, two)):
         for start, block in rows.blocks(numbers=_NUMBERS):
             lengths = np.linalg.norm(block.astype(np.float64), axis=1)
             bad = np.flatnonzero(~np.isfinite(lengths))
@@ -80,16 +60,24 @@ def _lengths_told(*sides: tuple[Path, FileRows]) -> tuple[str, ...]:
                 raise BenchmarkError(
                     f"row {start + int(bad[0])} (from 0) of {path} holds NaN or infinity: describe that photo again"
                 )
-            least, most = min(least, float(lengths.min())), max(most, float(lengths.max()))
-    if abs(least - 1) < 0.01 and abs(most - 1) < 0.01:
-        return ("descriptors from outside, of length 1: ranked by cosine",)
-    return (
-        f"descriptors from outside are not of length 1 ({least:.3g} to {most:.3g}): ranked by dot product as they "
-        "stand, which is neither cosine nor distance; normalise them where the method does",
+            shortest, longest = min(shortest, float(lengths.min())), max(longest, float(lengths.max()))
+    # float16 rounds lengths by less than 0.001; what is further from 1 was not meant to be 1.
+    if abs(shortest - 1) < 0.01 and abs(longest - 1) < 0.01:
+        return one, two, ("descriptors from outside, of length 1: ranked by cosine",)
+    note = (
+        f"descriptors from outside are not of length 1 ({shortest:.3g} to {longest:.3g}): ranked by dot product as "
+        "they stand, which is neither cosine nor distance; normalise them where the method does"
     )
+    return one, two, (note,)
 
 
-# --- ranked lists --------------------------------------------------------------------------
+def write_photos(photos: Sequence[Photo], path: Path) -> None:
+    """Write the photos' paths in their order, one a line: what descriptors from outside are to be made of.
+
+    Raises:
+        BenchmarkError: If the file cannot be written.
+    """
+    _write_lines(path, (str(photo.path) for photo in photos))
 
 
 class _Keys:
@@ -104,9 +92,6 @@ class _Keys:
             for key in {photo.path.stem, name, name.removesuffix(photo.path.suffix)}:
                 if self._rows.setdefault(key, row) != row:
                     self._twice.add(key)
-
-    def __len__(self) -> int:
-        return len(self._rows)
 
     def get(self, key: str, at: str) -> int | None:
         """The row; None where no photo is called so."""
@@ -127,81 +112,48 @@ def read_rankings(benchmark: Benchmark, path: Path) -> tuple[Ranked, tuple[str, 
         What was found, without scores, and sentences about it.
 
     Raises:
-        BenchmarkError: the file cannot be read, a query of the benchmark is not in it or twice, or a reference is not
-            one of the benchmark's or twice in a line.
+        BenchmarkError: If the file cannot be read, a query of the benchmark is not in it or twice, or a reference is
+            not one of the benchmark's or twice in a line.
     """
     queries, references = _Keys(benchmark.queries, "queries"), _Keys(benchmark.references, "references")
-    found: dict[int, list[int]] = {}
-    over = 0
-    for at, (key, *named) in _lines(path):
-        row = queries.get(key, at)
-        if row is None:
-            over += 1
-        elif row in found:
-            raise BenchmarkError(f"{at} ranks for {key!r} a second time: keep one line a query")
-        else:
-            found[row] = _ranking(named, references, at)
-    missing = [photo.path for row, photo in enumerate(benchmark.queries) if row not in found]
+    rankings: dict[int, list[int]] = {}
+    left_out = 0
+    try:
+        # Names may be in any encoding a file system has; a byte order mark is what Windows editors leave.
+        with path.open(encoding="utf-8-sig", errors="surrogateescape") as lines:
+            for number, line in enumerate(lines, 1):
+                at, words = f"line {number} of {path}", line.split()
+                if not words:
+                    continue
+                row = queries.get(words[0], at)
+                if row is None:
+                    left_out += 1
+                elif row in rankings:
+                    raise BenchmarkError(f"{at} ranks for {words[0]!r} a second time: keep one line a query")
+                else:
+                    rankings[row] = _ranking(words[1:], references, at)
+    except OSError as error:
+        raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name") from error
+    missing = [photo.path for row, photo in enumerate(benchmark.queries) if row not in rankings]
     if missing:
         raise BenchmarkError(
             f"{path} has no line for {len(missing)} of {len(benchmark.queries)} queries, the first {missing[0]}: a "
             "figure with holes is no figure; add them (a line of the query's name alone finds nothing)"
         )
-    return _padded(found, len(benchmark.references)), _told(path, found, over)
+    lengths = [len(ranking) for ranking in rankings.values()]
+    ranked = np.full((len(rankings), max(1, max(lengths))), -1, dtype=np.int64)
+    for row, ranking in rankings.items():
+        ranked[row, : len(ranking)] = ranking
+    notes = [f"rankings of {path.name} are {min(lengths)} references long at least"]
+    if left_out:
+        notes.append(f"{left_out} lines of {path.name} are of queries that the protocol leaves out")
+    return Ranked(ranked), tuple(notes)
 
 
-def write_rankings(result: Result, path: Path) -> None:
-    """Write what a result found as ranked lists, whole or not at all.
-
-    Raises:
-        BenchmarkError: a name holds a space, which the form has no way to write, or two are alike; or the file cannot
-            be written.
-    """
-    short = (
-        _short([one.query for one in result.per_query]),
-        _short([one.name for one in result.known.values()]),
-    )
-    keys = dict(zip(result.known, short[1], strict=True))
-    lines = (
-        " ".join([query, *(keys[row] for row in one.matches)])
-        for query, one in zip(short[0], result.per_query, strict=True)
-    )
-    _write(path, lines)
-
-
-def _write(path: Path, lines: Iterable[str]) -> None:
-    try:
-        write_whole(path, "".join(f"{line}\n" for line in lines).encode("utf-8", "surrogateescape"))
-    except OSError as error:
-        raise BenchmarkError(
-            f"{path} cannot be written ({error.strerror}): name a file in a folder that is there"
-        ) from error
-
-
-def _short(names: Sequence[str]) -> list[str]:
-    """Names without folder and suffix where that tells them apart, else without the suffix alone."""
-    spaced = [name for name in names if len(name.split()) != 1]
-    if spaced:
-        raise BenchmarkError(
-            f"{spaced[0]!r} has a space in its name, which ranked lists have no way to write: rename it"
-        )
-    stems = [Path(name).stem for name in names]
-    return stems if len(set(stems)) == len(stems) else list(names)
-
-
-def _lines(path: Path) -> Iterator[tuple[str, list[str]]]:
-    try:
-        with path.open(encoding="utf-8-sig", errors="surrogateescape") as file:
-            for number, line in enumerate(file, 1):
-                if words := line.split():
-                    yield f"line {number} of {path}", words
-    except OSError as error:
-        raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name") from error
-
-
-def _ranking(named: Sequence[str], references: _Keys, at: str) -> list[int]:
+def _ranking(keys: Sequence[str], references: _Keys, at: str) -> list[int]:
+    """The rows that a line names."""
     rows = []
-    for key in named:
+    for key in keys:
         row = references.get(key, at)
         if row is None:
             raise BenchmarkError(
@@ -213,23 +165,32 @@ def _ranking(named: Sequence[str], references: _Keys, at: str) -> list[int]:
     return rows
 
 
-def _padded(found: dict[int, list[int]], references: int) -> Ranked:
-    longest = max(1, min(references, max(map(len, found.values()))))
-    rows: Int64[np.ndarray, "queries k"] = np.full((len(found), longest), -1, dtype=np.int64)
-    for row, ranking in found.items():
-        rows[row, : len(ranking)] = ranking
-    return Ranked(rows)
+def write_rankings(result: Result, path: Path) -> None:
+    """Write what a result found as ranked lists, whole or not at all.
+
+    Raises:
+        BenchmarkError: If a name holds a space, which the form has no way to write, or the file cannot be written.
+    """
+    queries = _short_names([one.query for one in result.per_query])
+    names = _short_names([one.name for one in result.known.values()])
+    name_of = dict(zip(result.known, names, strict=True))
+    lines = (
+        " ".join([query, *(name_of[row] for row in one.matches)])
+        for query, one in zip(queries, result.per_query, strict=True)
+    )
+    _write_lines(path, lines)
 
 
-def _told(path: Path, found: dict[int, list[int]], over: int) -> tuple[str, ...]:
-    least = min(map(len, found.values()))
-    told = [f"rankings of {path.name} are {least} references long at least"]
-    if over:
-        told.append(f"{over} lines of {path.name} are of queries that the protocol leaves out")
-    return tuple(told)
+def _short_names(names: Sequence[str]) -> list[str]:
+    """Names without folder and suffix where that tells them apart, else whole."""
+    spaced = [name for name in names if len(name.split()) != 1]
+    if spaced:
+        raise BenchmarkError(
+            f"{spaced[0]!r} has a space in its name, which ranked lists have no way to write: rename it"
+        )
+    stems = [Path(name).stem for name in names]
+    return stems if len(set(stems)) == len(stems) else list(names)
 
 
-def depth(ranked: Ranked, references: int, ks: Sequence[int]) -> tuple[int, ...]:
-    """The ks that rankings are long enough for: beyond the longest, nothing was asked of the method."""
-    longest = ranked.rows.shape[1]
-    return tuple(k for k in ks if k <= longest or longest >= references) or (1,)
+def _write_lines(path: Path, lines: Iterable[str]) -> None:
+    write_file(path, "".join(f"{line}\n" for line in lines).encode("utf-8", "surrogateescape"))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -33,12 +33,12 @@ class Leak:
     """A photo that is in both sides.
 
     Attributes:
-        query: its number among the queries.
-        reference: its row among the references.
-        query_path: its file among the queries.
-        reference_path: its file among the references.
-        kind: whether the files are the same, byte for byte, or only the pictures.
-        difference: grey levels between the thumbnails, on average; 0 for the same file.
+        query: Its number among the queries.
+        reference: Its row among the references.
+        query_path: Its file among the queries.
+        reference_path: Its file among the references.
+        kind: Whether the files are the same, byte for byte, or only the pictures.
+        difference: Grey levels between the thumbnails, on average; 0 for the same file.
     """
 
     query: int
@@ -63,58 +63,64 @@ def find_leaks(
     """Look for photos that are in both sides.
 
     Args:
-        queries: the photos asked about.
-        references: the photos they are looked for among.
-        matches: rows of references that look like each query, best first; where not given, only files of one
+        queries: The photos asked about.
+        references: The photos they are looked for among.
+        matches: Rows of references that look like each query, best first; where not given, only files of one
             content are found.
-        scores: the matches' scores; those below 0.9 are not looked at. Where not given, all are.
+        scores: The matches' scores; those below 0.9 are not looked at. Where not given, all are.
 
     Raises:
-        BenchmarkError: a photo cannot be read.
+        BenchmarkError: If a photo cannot be read.
     """
     try:
-        same = list(_same_files(queries, references))
+        same = same_files(queries, references)
         found = {(leak.query, leak.reference) for leak in same}
-        pairs = [pair for pair in _likely(matches, scores) if pair not in found]
-        return (*same, *_same_pictures(queries, references, pairs))
+        pairs = [
+            (number, int(row))
+            for number, rows in enumerate(matches)
+            for rank, row in enumerate(rows[:LOOKED_AT])
+            if row >= 0 and (scores is None or scores[number][rank] >= LIKELY)
+        ]
+        return (*same, *same_pictures(queries, references, [pair for pair in pairs if pair not in found]))
     except (OSError, PhotoError) as error:
         raise BenchmarkError(f"whether photos are in both sides cannot be told: {error}") from error
 
 
-def _same_files(queries: Sequence[Photo], references: Sequence[Photo]) -> Iterator[Leak]:
+def same_files(queries: Sequence[Photo], references: Sequence[Photo]) -> list[Leak]:
+    """Files of one content on both sides; only those whose size is on both sides are read.
+
+    Raises:
+        OSError: If a photo is not there.
+        PhotoError: If it cannot be read.
+    """
     sizes: dict[int, list[int]] = defaultdict(list)
     for number, photo in enumerate(queries):
-        sizes[_size(photo.path)].append(number)
-    contents: dict[int, dict[str, list[int]]] = {}
+        sizes[os.stat(photo.path).st_size].append(number)  # noqa: PTH116  # Path's method takes twice as long
+    hashes: dict[int, dict[str, list[int]]] = {}  # of the queries of a size, once a reference is of that size
+    leaks = []
     for row, photo in enumerate(references):
-        size = _size(photo.path)
+        size = os.stat(photo.path).st_size  # noqa: PTH116  # the same, a million times
         if size not in sizes:
             continue
-        if size not in contents:
-            contents[size] = defaultdict(list)
+        if size not in hashes:
+            hashes[size] = defaultdict(list)
             for number in sizes[size]:
-                contents[size][content_hash(queries[number].path)].append(number)
-        for number in contents[size].get(content_hash(photo.path), ()):
-            yield Leak(number, row, str(queries[number].path), str(photo.path), "file")
+                hashes[size][content_hash(queries[number].path)].append(number)
+        for number in hashes[size].get(content_hash(photo.path), ()):
+            leaks.append(Leak(number, row, str(queries[number].path), str(photo.path), "file"))
+    return leaks
 
 
-def _size(path: Path) -> int:
-    return os.stat(path).st_size  # noqa: PTH116  # a method of Path takes twice as long, a million times
-
-
-def _likely(
-    matches: Iterable[Sequence[int]], scores: Sequence[Sequence[float]] | None
-) -> Iterator[tuple[int, int]]:
-    for number, rows in enumerate(matches):
-        for place, row in enumerate(rows[:LOOKED_AT]):
-            if row >= 0 and (scores is None or scores[number][place] >= LIKELY):
-                yield number, int(row)
-
-
-def _same_pictures(
+def same_pictures(
     queries: Sequence[Photo], references: Sequence[Photo], pairs: Iterable[tuple[int, int]]
-) -> Iterator[Leak]:
+) -> list[Leak]:
+    """Pairs of a query and a reference, in the order of the queries, whose thumbnails show one picture.
+
+    Raises:
+        PhotoError: If a photo cannot be read.
+    """
     last, seen = -1, np.zeros(0)
+    leaks = []
     for number, row in pairs:
         query, reference = queries[number].path, references[row].path
         if number != last:
@@ -123,14 +129,15 @@ def _same_pictures(
             continue
         difference = float(np.abs(seen - thumbnail(reference)).mean())
         if difference <= ALIKE:
-            yield Leak(number, row, str(query), str(reference), "picture", difference)
+            leaks.append(Leak(number, row, str(query), str(reference), "picture", difference))
+    return leaks
 
 
 def thumbnail(path: Path) -> Float64[np.ndarray, "side side"]:
     """A photo in 32 x 32 grey levels.
 
     Raises:
-        PhotoError: it cannot be read.
+        PhotoError: If it cannot be read.
     """
     small = decode(path, SIDE, SIDE, "box")
     grey: Float64[np.ndarray, "side side"] = small.astype(np.float64).mean(axis=2)

@@ -1,224 +1,337 @@
-"""Recall@k: the share of queries with a right reference among the first k.
+"""What an evaluation measures: recall@k, precision against recall, and localisation error, each with how sure it is.
 
 A query without any right reference cannot be answered. Each result says how many there were; they are left
-out of the share (`drop`, the rule for a user's own folders) or stay in it as misses (`miss`, the rule of some
-published protocols), and the protocol says so.
+out of recall and localisation error (`drop`, the rule for a user's own folders) or stay in them as misses (`miss`,
+the rule of some published protocols), and the protocol says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import operator
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from numpy.typing import NDArray
 
-from salad import geo
-from salad.datasets.benchmark import Unanswerable
-from salad.errors import BenchmarkError
-from salad.images.photo import Photo
+from salad.evaluation.bootstrap import (
+    Interval,
+    SamplingDesign,
+    nested,
+    percentile_interval,
+    share_interval,
+)
+
+if TYPE_CHECKING:
+    from salad.evaluation.result import QueryResult
 
 KS = (1, 5, 10, 20)
+WITHIN_M = (5, 10, 25, 50)
+"""Metres within which a best match may stand; 25 is the field's own measure of a right answer."""
 
 
-def recall_at(
-    ranked: NDArray[np.integer[Any]] | Sequence[Sequence[int]],
-    positives: Sequence[Int64[np.ndarray, " n"]],
-    ks: Sequence[int] = KS,
+@dataclass(frozen=True, slots=True)
+class Recall:
+    """Percent of queries with a right reference among the first k.
+
+    Attributes:
+        at: Percent, by k, in the order asked for.
+        intervals: Where the truth of each lies 95 times in 100.
+        drawn: How that was found: what was drawn again together, how often, and from which seed.
+    """
+
+    at: dict[int, float]
+    intervals: dict[int, Interval]
+    drawn: dict[str, Any]
+
+
+def recall(
+    results: Sequence[QueryResult],
+    counted: Int64[np.ndarray, " counted"],
+    ks: Sequence[int],
+    design: SamplingDesign,
     *,
-    unanswerable: Unanswerable = "drop",
-) -> dict[int, float]:
-    """Compute recall@k in percent.
+    seed: int,
+    times: int,
+) -> Recall:
+    """Recall@k.
 
     Args:
-        ranked: `[Q, K]` rows of references for each query, best first. A ranking shorter than k is taken to
-            hold every reference there is; -1, which some search engines pad with, is never right.
-        positives: The right rows of each query; empty where it cannot be answered.
+        results: What became of each query. One with fewer matches than k is taken to name every reference there is.
+        counted: Numbers of the queries that a share is taken of, one at least.
         ks: Which k to report.
-        unanswerable: `drop` leaves queries without positives out of the share, `miss` counts them as misses.
-
-    Returns:
-        Percent for each k, in the order asked for.
-
-    Raises:
-        BenchmarkError: The lengths differ, a k is below 1, or no query is left to count.
+        design: Which queries hang together.
+        seed: Of the draws.
+        times: How many draws.
     """
-    if len(ranked) != len(positives):
-        raise BenchmarkError(
-            f"{len(ranked)} rankings but positives for {len(positives)} queries: give one of each"
-        )
-    check_countable(positives, ks, unanswerable=unanswerable)
-    hits = first_hits(ranked, positives)
-    if unanswerable == "drop":
-        hits = hits[[number for number, right in enumerate(positives) if right.size]]
-    return {k: float(100.0 * np.mean(hits < k)) for k in ks}
-
-
-def check_countable(
-    positives: Sequence[Int64[np.ndarray, " n"]], ks: Sequence[int], *, unanswerable: Unanswerable
-) -> None:
-    """Make sure that there will be a recall to give.
-
-    Raises:
-        BenchmarkError: A k is below 1, or no query is left to count.
-    """
-    if not ks or min(ks) < 1:
-        raise BenchmarkError(f"recall at {list(ks)} makes no sense: give whole numbers from 1")
-    if len(positives) and (unanswerable == "miss" or any(right.size for right in positives)):
-        return
-    raise BenchmarkError(
-        f"none of {len(positives)} queries has a right reference, so there is no recall to give: "
-        "check the ground truth, the tolerance or the radius"
+    ranks = np.array([results[number].first_right or math.inf for number in counted.tolist()])
+    hits = (ranks[:, None] <= np.array(ks)).astype(np.float64)  # [counted, ks]
+    # Where frames of a drive hang together, R@1 says how far: all k are drawn alike, so that they can be nested.
+    resampling = design.resampling(counted, hits[:, 0])
+    draws = resampling.draws(
+        lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True), seed=seed, times=times
     )
-
-
-def first_hits(
-    ranked: NDArray[np.integer[Any]] | Sequence[Sequence[int]], positives: Sequence[Int64[np.ndarray, " n"]]
-) -> Float64[np.ndarray, " queries"]:
-    """The place of the first right row in each ranking, from 0; infinite where there is none."""
-    places = np.full(len(ranked), np.inf)
-    for number, (rows, right) in enumerate(zip(ranked, positives, strict=True)):
-        hits = np.isin(np.asarray(rows), right)
-        if hits.any():
-            places[number] = np.argmax(hits)
-    return places
-
-
-# --- Precision against recall, as the least score that is believed goes from the highest to the lowest ---
-#
-# A query is answered where its best score is at least the threshold, and the answer is right where the best match is.
-# Precision is the share of right ones among the answers; recall is their share among the queries that have an answer.
-# A query without a right reference can only be answered wrongly, whatever a protocol says of it in recall@k.
+    percent = {k: float(100.0 * hits[:, column].mean()) for column, k in enumerate(ks)}
+    intervals = {
+        k: share_interval(percent[k], draws[:, column], units=resampling.units, counted=len(counted))
+        for column, k in enumerate(ks)
+    }
+    return Recall(percent, nested(intervals), {**resampling.as_dict(), "times": times, "seed": seed})
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One point for each score that is some query's best, the highest first.
+    """Precision against recall, one point for each score that is some query's best, the highest first.
 
     Attributes:
         thresholds: `[points]` the score from which on answers are believed.
-        precision: `[points]` in percent.
-        recall: `[points]` in percent.
+        precision: `[points]` in percent; `[draws, points]` of queries drawn again.
+        recall: As many, in percent.
     """
 
     thresholds: Float64[np.ndarray, " points"]
-    precision: Float64[np.ndarray, " points"]
-    recall: Float64[np.ndarray, " points"]
+    precision: Float64[np.ndarray, "*draws points"]
+    recall: Float64[np.ndarray, "*draws points"]
 
     @property
-    def area(self) -> float:
+    def area(self) -> Float64[np.ndarray, "*draws"]:
         """The area under the curve in percent, by steps (average precision): nothing is drawn between points."""
-        return float(_area(self.precision[None], self.recall[None])[0])
+        steps = np.diff(self.recall, axis=-1, prepend=0.0)
+        return np.asarray((steps * self.precision).sum(axis=-1) / 100)
 
     @property
-    def recall_at_full_precision(self) -> float:
+    def recall_at_full_precision(self) -> Float64[np.ndarray, "*draws"]:
         """The most recall, in percent, at which no answer is wrong."""
-        return float(_full(self.precision[None], self.recall[None])[0])
+        return np.asarray(np.where(self.precision == 100, self.recall, 0.0).max(axis=-1, initial=0.0))
 
     @property
     def surest(self) -> float | None:
-        """The lowest threshold at which no answer is wrong; None where the surest answer is."""
+        """The lowest threshold at which no answer is wrong; None where the surest answer is. Not for draws."""
         full = np.flatnonzero(self.precision == 100)
         return float(self.thresholds[full[-1]]) if full.size else None
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What the curve is of: `[queries]` each.
+    """What the precision-recall curve is of: `[queries]` each.
+
+    A query is answered where its best score is at least the threshold, and the answer is right where the best match
+    is. Precision is the share of right ones among the answers; recall is their share among the queries that have an
+    answer. A query without a right reference can only be answered wrongly, whatever a protocol says of it in recall@k.
 
     Attributes:
-        scores: the best score of each query; -infinity where it has no match.
-        right: whether its best match is right.
-        answerable: whether any reference is.
+        scores: The best score of each query; -infinity where it has no match.
+        right: Whether its best match is right.
+        answerable: Whether any reference is.
     """
 
     scores: Float64[np.ndarray, " queries"]
     right: Bool[np.ndarray, " queries"]
     answerable: Bool[np.ndarray, " queries"]
 
-    def curve(self) -> Curve:
-        """The curve of all of them."""
-        precision, recall = self._points(np.ones((1, len(self.scores))))
-        order, ends = self._order()
-        return Curve(self.scores[order][ends], precision[0], recall[0])
+    @classmethod
+    def of(cls, results: Sequence[QueryResult]) -> Answers | None:
+        """Best scores and whether the best matches are right; None where a query has no scores."""
+        scores = [one.scores for one in results]
+        best = [-math.inf if not each else each[0] for each in scores]
+        if not scores or None in scores:
+            return None
+        right = np.array([one.hit(1) for one in results])
+        return cls(np.array(best), right, np.array([one.positives > 0 for one in results]))
 
-    def area_and_full(self, weights: Float64[np.ndarray, "draws queries"]) -> Float64[np.ndarray, "draws 2"]:
-        """Area and recall at full precision, in percent, where each query counts so often: a row a draw."""
-        points = self._points(weights)
-        return np.stack([_area(*points), _full(*points)], axis=1)
-
-    def _order(self) -> tuple[np.ndarray, np.ndarray]:
-        """Queries from the highest score on, and the last of each run of equal ones: no threshold parts those."""
+    def curve(self, weights: Float64[np.ndarray, "draws queries"] | None = None) -> Curve:
+        """The curve of all of them; a row a draw where `weights` say how often each query counts."""
         order = np.argsort(-self.scores, kind="stable")
         ordered = self.scores[order]
+        # The last of each run of equal scores: no threshold parts those. A query without a match is never answered.
         ends = np.append(np.flatnonzero(ordered[1:] != ordered[:-1]), len(order) - 1)
-        return order, ends[np.isfinite(ordered[ends])]
-
-    def _points(self, weights: Float64[np.ndarray, "draws queries"]) -> tuple[np.ndarray, np.ndarray]:
-        order, ends = self._order()
-        right = np.cumsum((weights * (self.right & self.answerable))[:, order], axis=1)[:, ends]
-        made = np.cumsum(weights[:, order], axis=1)[:, ends]
-        all_ = (weights * self.answerable).sum(axis=1, keepdims=True)
-        precision = np.divide(100 * right, made, out=np.full_like(right, 100.0), where=made > 0)
-        recall = np.divide(100 * right, all_, out=np.zeros_like(right), where=all_ > 0)
-        return precision, recall
-
-
-def _area(precision: np.ndarray, recall: np.ndarray) -> Float64[np.ndarray, " draws"]:
-    area: Float64[np.ndarray, " draws"] = (np.diff(recall, axis=1, prepend=0.0) * precision).sum(axis=1) / 100
-    return area
+        ends = ends[np.isfinite(ordered[ends])]
+        each = np.ones(len(order)) if weights is None else weights
+        right = np.cumsum((each * (self.right & self.answerable))[..., order], axis=-1)[..., ends]
+        answers = np.cumsum(each[..., order], axis=-1)[..., ends]
+        askable = (each * self.answerable).sum(axis=-1, keepdims=True)
+        # A draw may hold no query above a threshold, or none that has an answer.
+        precision = np.divide(100 * right, answers, out=np.full_like(right, 100.0), where=answers > 0)
+        recall = np.divide(100 * right, askable, out=np.zeros_like(right), where=askable > 0)
+        return Curve(ordered[ends], precision, recall)
 
 
-def _full(precision: np.ndarray, recall: np.ndarray) -> Float64[np.ndarray, " draws"]:
-    sure: Float64[np.ndarray, " draws"] = np.where(precision == 100, recall, 0.0).max(axis=1, initial=0.0)
-    return sure
+@dataclass(frozen=True, slots=True)
+class PrecisionRecall:
+    """The curve over the threshold on the best score, in three numbers; all in percent but the threshold.
+
+    Attributes:
+        area: Below the curve (average precision).
+        recall_at_full_precision: The most recall with no wrong answer.
+        threshold: The least score believed there; None where the surest answer of all is wrong.
+        area_interval: How sure `area` is.
+        full_interval: How sure `recall_at_full_precision` is.
+    """
+
+    area: float
+    recall_at_full_precision: float
+    threshold: float | None
+    area_interval: Interval
+    full_interval: Interval
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON form."""
+        return {
+            "area": self.area,
+            "area_interval": self.area_interval.as_list(),
+            "recall_at_full_precision": self.recall_at_full_precision,
+            "recall_at_full_precision_interval": self.full_interval.as_list(),
+            "threshold": self.threshold,
+        }
+
+    @classmethod
+    def from_dict(cls, read: Mapping[str, Any]) -> PrecisionRecall:
+        """What `as_dict` wrote."""
+        return cls(
+            float(read["area"]),
+            float(read["recall_at_full_precision"]),
+            None if read["threshold"] is None else float(read["threshold"]),
+            Interval.from_list(read["area_interval"]),
+            Interval.from_list(read["recall_at_full_precision_interval"]),
+        )
 
 
-# --- How far the best match stands from the query, where the positions of both are known ---
-
-
-WITHIN_M = (5, 10, 25, 50)  # metres
-
-
-def distance_errors(
-    queries: Sequence[Photo], references: Sequence[Photo], best: Int64[np.ndarray, " queries"]
-) -> Float64[np.ndarray, " queries"]:
-    """Metres from each query to its best match; NaN where a position is not known, infinite where there is no match.
+def precision_recall(
+    results: Sequence[QueryResult], design: SamplingDesign, *, seed: int, times: int
+) -> PrecisionRecall | None:
+    """The precision-recall curve in short; None where no query has a score.
 
     Args:
-        queries: the photos asked about.
-        references: the photos that `best` are rows of.
-        best: the row of each query's best match; -1 where there is none.
+        results: What became of each query.
+        design: Which queries hang together.
+        seed: Of the draws.
+        times: How many draws.
     """
-    apart = np.full(len(queries), np.nan)
-    for number, row in enumerate(best.tolist()):
-        here = queries[number].where
-        if here is None:
-            continue
-        if row < 0:
-            apart[number] = np.inf
-        elif (there := references[row].where) is not None:
-            apart[number] = geo.metres_between(here, there)
-    return apart
+    answers = Answers.of(results)
+    if answers is None or not np.isfinite(answers.scores).any():
+        return None
+    resampling = design.resampling(np.arange(len(results)), answers.right.astype(np.float64))
+    curve = answers.curve()
+    curves = [answers.curve(weights) for weights in resampling.weights(seed=seed, times=times)]
+    return PrecisionRecall(
+        float(curve.area),
+        float(curve.recall_at_full_precision),
+        curve.surest,
+        percentile_interval(np.concatenate([drawn.area for drawn in curves])),
+        percentile_interval(np.concatenate([drawn.recall_at_full_precision for drawn in curves])),
+    )
 
 
-def distance_medians(
-    apart: Float64[np.ndarray, " queries"], weights: Float64[np.ndarray, "draws queries"]
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """Localisation error: how far best matches stand from their queries.
+
+    Attributes:
+        known: How many of the queries that count have a position, as their best matches have.
+        median: Of these, in metres; infinite where most of them have no match at all.
+        median_interval: How sure that is.
+        within: Percent within so many metres.
+        within_intervals: How sure each is.
+    """
+
+    known: int
+    median: float
+    median_interval: Interval
+    within: dict[int, float]
+    within_intervals: dict[int, Interval]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON form; what is infinite is null, since JSON has no infinity."""
+        median, *ends = (
+            metres if math.isfinite(metres) else None
+            for metres in (self.median, *self.median_interval.as_list())
+        )
+        return {
+            "known": self.known,
+            "median": median,
+            "median_interval": ends,
+            "within": {str(metres): percent for metres, percent in self.within.items()},
+            "within_intervals": {str(m): interval.as_list() for m, interval in self.within_intervals.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, read: Mapping[str, Any]) -> Distances:
+        """What `as_dict` wrote."""
+        median, low, high = (
+            math.inf if metres is None else float(metres)
+            for metres in (read["median"], *read["median_interval"])
+        )
+        return cls(
+            known=operator.index(read["known"]),
+            median=median,
+            median_interval=Interval(low, high),
+            within={int(metres): float(percent) for metres, percent in read["within"].items()},
+            within_intervals={
+                int(m): Interval.from_list(ends) for m, ends in read["within_intervals"].items()
+            },
+        )
+
+
+def distances(
+    results: Sequence[QueryResult],
+    counted: Int64[np.ndarray, " counted"],
+    design: SamplingDesign,
+    *,
+    seed: int,
+    times: int,
+) -> Distances | None:
+    """Localisation error; None where no query and its best match both have a position.
+
+    Args:
+        results: What became of each query.
+        counted: Numbers of the queries that count.
+        design: Which queries hang together.
+        seed: Of the draws.
+        times: How many draws.
+    """
+    metres_of: dict[int, float] = {}
+    for number in counted.tolist():
+        one = results[number]
+        if one.metres is not None:
+            metres_of[number] = one.metres
+        elif one.where is not None and not one.matches:
+            metres_of[number] = math.inf  # it was asked for a place and found none: as wrong as can be
+    if all(map(math.isinf, metres_of.values())):
+        return None
+    far = np.array(list(metres_of.values()))
+    resampling = design.resampling(np.array(list(metres_of)), (far <= WITHIN_M[-1]).astype(np.float64))
+    draws = resampling.draws(
+        lambda weights: np.column_stack([weighted_medians(far, weights), percent_within(far, weights)]),
+        seed=seed,
+        times=times,
+    )
+    within = percent_within(far, np.ones((1, len(far))))[0]
+    return Distances(
+        known=len(far),
+        median=float(np.median(far)),
+        median_interval=percentile_interval(draws[:, 0]),
+        within=dict(zip(WITHIN_M, within.tolist(), strict=True)),
+        within_intervals={
+            limit: share_interval(float(percent), drawn, units=resampling.units, counted=len(far))
+            for limit, percent, drawn in zip(WITHIN_M, within, draws[:, 1:].T, strict=True)
+        },
+    )
+
+
+def weighted_medians(
+    far: Float64[np.ndarray, " queries"], weights: Float64[np.ndarray, "draws queries"]
 ) -> Float64[np.ndarray, " draws"]:
     """The median of each draw, where each query counts so often: the first that half of the weight is not above."""
-    order = np.argsort(apart, kind="stable")
+    order = np.argsort(far, kind="stable")
     sums = np.cumsum(weights[:, order], axis=1)
-    middle = np.argmax(sums >= sums[:, -1:] / 2, axis=1)
-    found: Float64[np.ndarray, " draws"] = apart[order][middle]
-    return found
+    return np.asarray(far[order][np.argmax(sums >= sums[:, -1:] / 2, axis=1)])
 
 
-def shares_within(
-    apart: Float64[np.ndarray, " queries"], weights: Float64[np.ndarray, "draws queries"]
+def percent_within(
+    far: Float64[np.ndarray, " queries"], weights: Float64[np.ndarray, "draws queries"]
 ) -> Float64[np.ndarray, "draws within"]:
-    """Percent within each of `WITHIN`, a row a draw."""
-    near = np.stack([apart <= metres for metres in WITHIN_M], axis=1).astype(np.float64)
-    found: Float64[np.ndarray, "draws within"] = 100 * (weights @ near) / weights.sum(axis=1, keepdims=True)
-    return found
+    """Percent within each of `WITHIN_M`, a row a draw."""
+    near = np.stack([far <= metres for metres in WITHIN_M], axis=1).astype(np.float64)
+    return np.asarray(100 * (weights @ near) / weights.sum(axis=1, keepdims=True))

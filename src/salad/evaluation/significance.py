@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from salad.errors import BenchmarkError
-from salad.evaluation.bootstrap import LEVEL, TIMES, Design, Interval, Plan, percentile_interval
+from salad.evaluation.bootstrap import LEVEL, TIMES, Interval, Resampling, SamplingDesign, percentile_interval
 from salad.evaluation.result import Result, along
 
 
@@ -24,13 +24,13 @@ class Difference:
     """The other result's recall at k less the first one's, in points.
 
     Attributes:
-        k: matches looked at.
-        first: recall of the first result, in percent.
-        other: recall of the other.
-        interval: where the true difference lies 95 times in 100.
-        chance: how often changes of this size and number, each this way or that, come to as much.
-        won: queries that only the other got right, by name.
-        lost: queries that only the first one got right.
+        k: Matches looked at.
+        first: Recall of the first result, in percent.
+        other: Recall of the other.
+        interval: Where the true difference lies 95 times in 100.
+        chance: How often changes of this size and number, each this way or that, come to as much.
+        won: Queries that only the other got right, by name.
+        lost: Queries that only the first one got right.
     """
 
     k: int
@@ -70,32 +70,62 @@ def differences(first: Result, other: Result, *, seed: int = 0, times: int = TIM
     """Compare two results at every k that both have.
 
     Args:
-        first: one result.
-        other: the other; what it got more right counts up.
-        seed: of the draws.
-        times: how many draws.
+        first: One result.
+        other: The other; what it got more right counts up.
+        seed: Of the draws.
+        times: How many draws.
 
     Raises:
-        BenchmarkError: they are not of one set under one protocol, and the sentence says what differs.
+        BenchmarkError: If they are not of one set under one protocol, and the sentence says what differs.
     """
     check_comparable(first, other)
-    those = np.array([number for number, one in enumerate(first.per_query) if first.counts(one)])
-    ks = [k for k in first.recall if k in other.recall]
-    return tuple(_difference(first, other, k, those, seed=seed, times=times) for k in ks)
+    counted = np.array([number for number, one in enumerate(first.per_query) if first.counts(one)])
+    pairs = [(first.per_query[number], other.per_query[number]) for number in counted.tolist()]
+    design = design_of(first)
+    found = []
+    for k in (k for k in first.recall if k in other.recall):
+        change = np.array([float(new.hit(k)) - float(old.hit(k)) for old, new in pairs])
+        resampling = design.resampling(counted, change)
+        draws = [
+            100 * (weights @ change) / weights.sum(axis=1)
+            for weights in resampling.weights(seed=seed, times=times)
+        ]
+        found.append(
+            Difference(
+                k=k,
+                first=first.recall[k],
+                other=other.recall[k],
+                interval=percentile_interval(np.concatenate(draws)),
+                chance=sign_test(change, resampling, seed=seed, times=times),
+                won=tuple(new.query for (_, new), by in zip(pairs, change, strict=True) if by > 0),
+                lost=tuple(old.query for (old, _), by in zip(pairs, change, strict=True) if by < 0),
+            )
+        )
+    return tuple(found)
 
 
 def check_comparable(first: Result, other: Result) -> None:
     """Refuse what cannot stand side by side.
 
     Raises:
-        BenchmarkError: protocols, rules, queries, references or what is right differ.
+        BenchmarkError: If protocols, rules, queries, references or what is right differ.
     """
     if first.protocol != other.protocol:
         raise BenchmarkError(
             f"one result was judged by '{first.protocol}' and the other by '{other.protocol}': figures of two "
             "protocols do not compare; judge both by one"
         )
-    _check_queries(first, other)
+    ours, theirs = ([one.query for one in result.per_query] for result in (first, other))
+    if odd := set(ours) ^ set(theirs):
+        both = len(set(ours) & set(theirs))
+        raise BenchmarkError(
+            f"the results are of two sets of queries ({len(set(ours))} and {len(set(theirs))}, {both} of them in both; "
+            f"{min(odd)} is in one only): judge both on the same queries"
+        )
+    if ours != theirs:
+        raise BenchmarkError(
+            "the results have the same queries in another order: judge both on one copy of the set"
+        )
     for what, one, two in zip(("references", "right references"), first.digests, other.digests, strict=True):
         if one != two:
             raise BenchmarkError(
@@ -109,51 +139,31 @@ def check_comparable(first: Result, other: Result) -> None:
         )
 
 
-def _check_queries(first: Result, other: Result) -> None:
-    one, two = ({verdict.query for verdict in result.per_query} for result in (first, other))
-    if one != two:
-        example = sorted(one ^ two)[0]
-        raise BenchmarkError(
-            f"the results are of two sets of queries ({len(one)} and {len(two)}, {len(one & two)} of them in both; "
-            f"{example} is in one only): judge both on the same queries"
-        )
-    if [verdict.query for verdict in first.per_query] != [verdict.query for verdict in other.per_query]:
-        raise BenchmarkError(
-            "the results have the same queries in another order: judge both on one copy of the set"
-        )
-
-
-def _difference(
-    first: Result, other: Result, k: int, those: np.ndarray, *, seed: int, times: int
-) -> Difference:
-    pairs = [(first.per_query[number], other.per_query[number]) for number in those.tolist()]
-    change = np.array([float(new.hit(k)) - float(old.hit(k)) for old, new in pairs])
-    plan = design_of(first).plan(those, change)
-    draws = [100 * (some @ change) / some.sum(axis=1) for some in plan.weights(seed=seed, times=times)]
-    return Difference(
-        k=k,
-        first=first.recall[k],
-        other=other.recall[k],
-        interval=percentile_interval(np.concatenate(draws)),
-        chance=_chance(change, plan, seed=seed, times=times),
-        won=tuple(new.query for (_, new), by in zip(pairs, change, strict=True) if by > 0),
-        lost=tuple(old.query for (old, _), by in zip(pairs, change, strict=True) if by < 0),
-    )
-
-
-def design_of(result: Result) -> Design:
+def design_of(result: Result) -> SamplingDesign:
     """Which queries hang together, as it was when the result was made."""
     by = result.drawn.get("by", "query")
     if by == "group":
-        return Design("group", groups=tuple(one.group or one.query for one in result.per_query))
+        return SamplingDesign("group", groups=tuple(one.group or one.query for one in result.per_query))
     if by == "block":
-        return Design("block", order=along([Path(one.query) for one in result.per_query]))
-    return Design("query")
+        return SamplingDesign("block", order=along([Path(one.query) for one in result.per_query]))
+    return SamplingDesign("query")
 
 
-def _chance(change: Float64[np.ndarray, " queries"], plan: Plan, *, seed: int, times: int) -> float:
-    """How often the changes come to as much when each unit's turn this way or that by chance."""
-    units = plan.unit_of // plan.length if plan.by == "block" else plan.unit_of
+def sign_test(
+    change: Float64[np.ndarray, " queries"], resampling: Resampling, *, seed: int, times: int
+) -> float:
+    """How often the changes come to as much when each unit's turns this way or that by chance.
+
+    A sign-flip (randomisation) test, whose units are what is drawn again together.
+
+    Args:
+        change: What each query gained, or lost.
+        resampling: Which of them hang together.
+        seed: Of the flips.
+        times: How many flips of all.
+    """
+    # Stretches of a drive, laid end to end: the starts that a bootstrap draws overlap, and would count queries twice.
+    units = resampling.unit_of // resampling.length if resampling.by == "block" else resampling.unit_of
     sums = np.bincount(units, weights=change)
     sums = sums[sums != 0]
     if not sums.size:
@@ -161,4 +171,5 @@ def _chance(change: Float64[np.ndarray, " queries"], plan: Plan, *, seed: int, t
     rng = np.random.default_rng(seed)
     turned = np.array([float((sums * rng.choice([-1.0, 1.0], len(sums))).sum()) for _ in range(times)])
     as_much = np.count_nonzero(np.abs(turned) >= abs(float(sums.sum())) - 1e-9)
+    # What was found is one of all that could be, so it is counted too: no chance is ever 0.
     return float((1 + as_much) / (1 + times))

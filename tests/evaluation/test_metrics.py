@@ -62,10 +62,13 @@ def test_the_curve_against_counting(case: Case) -> None:
 def test_a_query_that_counts_twice_is_there_twice(case: Case, data: st.DataObject) -> None:
     times = data.draw(st.lists(st.integers(0, 3), min_size=len(case), max_size=len(case)))
     repeated = [one for one, count in zip(case, times, strict=True) for _ in range(count)]
-    area, sure = answers(case).area_and_full(np.array([times], dtype=float))[0]
+    drawn = answers(case).curve(np.array([times], dtype=float))
     if repeated:
         curve = answers(repeated).curve()
-        assert (area, sure) == pytest.approx((curve.area, curve.recall_at_full_precision))
+        assert drawn.area.tolist() == pytest.approx([float(curve.area)])
+        assert drawn.recall_at_full_precision.tolist() == pytest.approx(
+            [float(curve.recall_at_full_precision)]
+        )
 
 
 def test_an_unanswerable_query_is_a_chance_to_be_wrong() -> None:
@@ -86,9 +89,9 @@ def test_an_unanswerable_query_is_a_chance_to_be_wrong() -> None:
 def test_medians_and_shares_of_repeated_queries(pairs: list[tuple[float, int]]) -> None:
     far, times = np.array([one for one, _ in pairs]), np.array([[float(count) for _, count in pairs]])
     repeated = sorted(np.repeat(far, times[0].astype(int)).tolist())
-    assert metrics.distance_medians(far, times)[0] == repeated[(len(repeated) - 1) // 2]
+    assert metrics.weighted_medians(far, times)[0] == repeated[(len(repeated) - 1) // 2]
     due = [100 * sum(one <= limit for one in repeated) / len(repeated) for limit in metrics.WITHIN_M]
-    assert metrics.shares_within(far, times)[0].tolist() == pytest.approx(due)
+    assert metrics.percent_within(far, times)[0].tolist() == pytest.approx(due)
 
 
 def placed(name: str, north: float | None) -> Photo:

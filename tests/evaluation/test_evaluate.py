@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from PIL import Image
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError
 from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge, rank
-from salad.evaluation.metrics import recall_at
 from salad.evaluation.result import Ranked
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber
@@ -48,18 +48,34 @@ def by_hand(ranked: np.ndarray, positives: list[np.ndarray], k: int, *, drop: bo
     return 100 * sum(counted) / len(counted)
 
 
-class TestRecallAt:
+def recall(
+    ranked: np.ndarray, positives: list[np.ndarray], ks: Sequence[int] = KS, rule: Any = "drop"
+) -> dict[int, float]:
+    """Recall as a result has it, of photos that nobody opens."""
+    references = 1 + max([0, *ranked.ravel().tolist(), *(row for right in positives for row in right)])
+    sides = (
+        [Photo(Path(f"{side}{n}.jpg")) for n in range(count)]
+        for side, count in (("r", references), ("q", len(positives)))
+    )
+    benchmark, settings_ = Benchmark("b", "p", *sides, positives), EvalSettings(ks, rule, times=2)
+    settings_.check(benchmark)
+    result = judge(benchmark, Ranked(ranked), settings_, model="m")
+    assert result.unanswerable == sum(not len(right) for right in positives)
+    return result.recall
+
+
+class TestRecall:
     @unhurried
     @given(rankings())
     def test_against_the_definition(self, case: tuple[np.ndarray, list[np.ndarray]]) -> None:
         for rule in ("drop", "miss"):
-            for k, percent in recall_at(*case, KS, unanswerable=rule).items():
+            for k, percent in recall(*case, rule=rule).items():
                 assert percent == pytest.approx(by_hand(*case, k, drop=rule == "drop"))
 
     @unhurried
     @given(rankings())
     def test_grows_with_k_and_ends_at_all(self, case: tuple[np.ndarray, list[np.ndarray]]) -> None:
-        percents = list(recall_at(*case, KS).values())
+        percents = list(recall(*case).values())
         assert percents == sorted(percents)
         assert percents[-1] == 100  # 8 is all the references there are
 
@@ -69,7 +85,7 @@ class TestRecallAt:
         ranked, positives = case
         pairs = zip(ranked, positives, strict=True)
         perfect = [[*right, *(row for row in rows if row not in right)] for rows, right in pairs]
-        assert recall_at(perfect, positives, KS) == dict.fromkeys(KS, 100.0)
+        assert recall(np.array(perfect), positives) == dict.fromkeys(KS, 100.0)
 
     @unhurried
     @given(rankings(), st.data())
@@ -78,25 +94,22 @@ class TestRecallAt:
     ) -> None:
         ranked, positives = case
         moved = np.array(data.draw(st.permutations(range(ranked.shape[1]))))
-        assert recall_at(moved[ranked], [moved[right] for right in positives], KS) == recall_at(*case, KS)
+        again = recall(moved[ranked], [np.sort(moved[right]) for right in positives])
+        assert again == recall(*case)
 
     def test_padding_is_never_right(self) -> None:
-        assert recall_at(np.array([[-1, -1]]), [np.array([1])], [1, 2]) == {1: 0.0, 2: 0.0}
+        assert recall(np.array([[-1, -1]]), [np.array([1])], [1, 2]) == {1: 0.0, 2: 0.0}
 
     def test_refusals(self) -> None:
-        with pytest.raises(BenchmarkError, match="1 rankings but positives for 2"):
-            recall_at([[0]], [np.array([0]), np.array([0])])
-        with pytest.raises(BenchmarkError, match="whole numbers from 1"):
-            recall_at([[0]], [np.array([0])], [0, 1])
-        with pytest.raises(BenchmarkError, match="whole numbers from 1"):
-            recall_at([[0]], [np.array([0])], [])
+        ranked, right, nothing = np.array([[0]]), [np.array([0])], [np.array([], dtype=np.int64)]
+        with pytest.raises(BenchmarkError, match="1 rankings but 2 queries"):
+            recall(ranked, right * 2)
+        for ks in ([0, 1], []):
+            with pytest.raises(BenchmarkError, match="whole numbers from 1"):
+                recall(ranked, right, ks)
         with pytest.raises(BenchmarkError, match="none of 1 queries has a right reference"):
-            recall_at([[0]], [np.array([], dtype=np.int64)])
-        with pytest.raises(BenchmarkError, match="none of 0 queries"):
-            recall_at([], [], unanswerable="miss")
-
-    def test_all_unanswerable_may_all_be_misses(self) -> None:
-        assert recall_at([[0]], [np.array([], dtype=np.int64)], [1], unanswerable="miss") == {1: 0.0}
+            recall(ranked, nothing)
+        assert recall(ranked, nothing, [1], "miss") == {1: 0.0}  # all unanswerable may all be misses
 
 
 small = st.integers(-3, 3)  # few values, so that scores tie often, and float32 sums them exactly
@@ -196,17 +209,9 @@ class TestAgainstAnIndependentComputation:
         due = {k: plain_recall(queries, references, right, k, drop=rule == "drop") for k in KS}
         if due[1] is None:
             with pytest.raises(BenchmarkError, match="has a right reference"):
-                recall_at(ranked, positives, KS, unanswerable=rule)
+                recall(ranked, positives, rule=rule)
             return
-        assert recall_at(ranked, positives, KS, unanswerable=rule) == pytest.approx(due)
-        sides = (
-            tuple(Photo(Path(f"{side}{n}.jpg")) for n in range(len(rows)))
-            for side, rows in zip("rq", (references, queries), strict=True)
-        )
-        benchmark = Benchmark("b", "p", *sides, tuple(positives))
-        result = judge(benchmark, Ranked(ranked), EvalSettings(KS, rule, times=2), model="m")
-        assert result.recall == pytest.approx(due)
-        assert result.unanswerable == sum(not rows for rows in right)
+        assert recall(ranked, positives, rule=rule) == pytest.approx(due)
 
 
 @pytest.fixture
