@@ -3,13 +3,16 @@
 import re
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from pages import Page, Sharing
 from salad.demo.demo_page import coordinates, draw_demo_page, town_map, write_demo_page
 from salad.demo.demo_result import DemoResult
 from salad.geo import GeoPoint
+from salad.images.metadata import save_jpeg
 from salad.models.fake import FakeDescriber
 
 Result = Callable[..., DemoResult]
@@ -111,6 +114,19 @@ def test_a_reference_looks_where_its_heading_points(outcome: Result) -> None:
     (*_, east), (*_, unknown) = town_map(outcome()).references[:2]
     assert east == pytest.approx((15, 0))
     assert unknown is None
+
+
+def test_a_reference_without_a_position_is_not_on_the_map(outcome: Result) -> None:
+    result = outcome()
+    bare = result.town.references[1]
+    save_jpeg(np.zeros((8, 8, 3), np.uint8), bare)
+    assert len(town_map(result).references) == len(result.town.references) - 1
+
+
+def test_a_query_without_matches_says_so(outcome: Result) -> None:
+    result = outcome()
+    one = replace(result.judged[0], answer=replace(result.judged[0].answer, place=None, matches=[]))
+    assert "no references" in Page(draw_demo_page(replace(result, judged=(one,)))).said
 
 
 def test_coordinates_name_their_hemisphere() -> None:

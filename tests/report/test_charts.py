@@ -31,5 +31,5 @@ def test_every_factor_is_as_long_on_a_logarithmic_axis() -> None:
 
 
 def test_a_figure_tells_its_interval() -> None:
-    assert ChartPoint(1, 50, "R@1: 50.0 %").said == "R@1: 50.0 %"
-    assert ChartPoint(1, 50, "R@1: 50.0 %", Interval(40, 60)).said == "R@1: 50.0 %, 95 %: 40.0 to 60.0"
+    assert ChartPoint(1, 50, "R@1: 50.0 %").label == "R@1: 50.0 %"
+    assert ChartPoint(1, 50, "R@1: 50.0 %", Interval(40, 60)).label == "R@1: 50.0 %, 95 %: 40.0 to 60.0"

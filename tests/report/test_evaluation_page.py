@@ -281,7 +281,7 @@ def test_queries_for_which_nothing_was_found(make: Make, tmp_path: Path) -> None
     )
     page = drawn(replace(result, per_query=none, precision_recall=None), tmp_path)
     assert "nothing found" in page.said
-    assert not page.all("path", "way")
+    assert not page.all("path", "error")
 
 
 def test_leaks_and_many_groups_are_counted(make: Make, tmp_path: Path) -> None:

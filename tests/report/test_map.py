@@ -1,13 +1,15 @@
 """Where things fall on a map."""
 
 import math
+import re
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from salad.geo import GeoPoint, metres_between, round_metres, shifted
-from salad.report.map import SHAPE, WIDE, Frame, regions
+from salad.report.map import SHAPE, WIDE, Frame, cell_path, regions
+from salad.report.mistakes import OUTCOMES
 
 
 @given(
@@ -44,3 +46,11 @@ def test_a_scale_bar_is_round_and_not_too_long(about: float) -> None:
     assert f"{length:g}"[0] in "1250"
     frame = Frame((0.0, 0.0), WIDE / 5 / about, 500.0)
     assert frame.bar_m * frame.scale <= WIDE / 5 * 1.001
+
+
+def test_a_cell_lies_within_its_column_and_only_the_unanswerable_is_hollow() -> None:
+    for kind in OUTCOMES:
+        path = cell_path(kind, 100.0, 50.0, 12.0)
+        assert path.count("Z") == (2 if kind == "unanswerable" else 1)
+        starts = re.findall(r"M([\d.]+) ([\d.]+)h?", path)
+        assert all(100 <= float(x) < 112 and abs(float(y) - 50) <= 10 for x, y in starts)

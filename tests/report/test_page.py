@@ -5,16 +5,21 @@ import math
 import re
 import shutil
 import subprocess
+import sys
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from jinja2 import UndefinedError
 
+from pages import Page
 from salad import demo, report
 from salad.errors import BenchmarkError
 from salad.geo import told_metres
-from salad.report.page import ordinal, render, several, write_page
+from salad.report.map import QueryMark
+from salad.report.page import environment, ordinal, render, several, write_page
 
 TEMPLATES = files("salad.report").joinpath("templates")
 
@@ -40,6 +45,25 @@ def test_no_template_leaves_the_escape_rule() -> None:
                 path.name
             )  # nothing is filled in, and nothing ends it early
             assert text.count("{") == text.count("}"), path.name
+
+
+def test_the_template_engine_is_loaded_by_the_first_page() -> None:
+    asked = "import salad.report.page, sys; print('jinja2' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "False"
+
+
+@given(st.text(max_size=40))
+def test_any_name_is_text_on_a_page(name: str) -> None:
+    mark = QueryMark(1, "right", name)
+    macro = "{% from 'map.html.j2' import query %}{% call query(mark, data) %}{% endcall %}"
+    text = environment().from_string(macro).render(mark=mark, data={"data-condition": name})
+    page = Page(text)
+    link = page.all("a", "query")[0]
+    expected = name.replace("\r\n", "\n").replace("\r", "\n")
+    assert {tag for tag, _ in page.tags} == {"a", "title"}
+    for told in (link["aria-label"], link["data-condition"]):
+        assert (told or "").replace("\r\n", "\n").replace("\r", "\n") == expected
 
 
 def test_what_a_template_names_must_be_there() -> None:

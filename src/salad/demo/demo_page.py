@@ -14,7 +14,7 @@ from salad.geo import GeoPoint, told_metres
 from salad.images.photo import read_photo
 from salad.report.map import Frame, QueryMark
 from salad.report.page import render, write_page
-from salad.report.strips import Figure, Strip, Thumbnails, Words
+from salad.report.strips import CaptionPart, Figure, Strip, Thumbnails
 
 if TYPE_CHECKING:
     from salad.index.index import Match
@@ -130,11 +130,11 @@ def town_map(result: DemoResult) -> TownMap:
             references.append((*frame.at(_degrees(photo.where)), looks))
     queries = []
     for number, one in enumerate(result.judged, 1):
-        said = "unknown" if one.error_m is None else f"{one.verdict}, {told_metres(one.error_m)} off"
+        verdict = "unknown" if one.error_m is None else f"{one.verdict}, {told_metres(one.error_m)} off"
         place = one.answer.place
         queries.append(
             TownMark(
-                QueryMark(number, one.verdict, f"{one.answer.query.name}, {one.condition}: {said}"),
+                QueryMark(number, one.verdict, f"{one.answer.query.name}, {one.condition}: {verdict}"),
                 *frame.at(_degrees(one.truth)),
                 FoundMark(*frame.at(_degrees(place.where)), place.radius_m * frame.scale) if place else None,
                 _data(number, one),
@@ -166,7 +166,7 @@ def _strip(number: int, one: Judged, thumbnails: Thumbnails) -> Strip:
             "query-photo",
             thumbnails.of(query, query.name, side=QUERY_SIDE),
             f"Query {query.name}, taken in this light: {one.condition}",
-            caption=(Words(f"taken at {coordinates(one.truth)}"),),
+            caption=(CaptionPart(f"taken at {coordinates(one.truth)}"),),
         ),
         *(_reference(one, match, thumbnails) for match in one.answer.matches[:BEST]),
     ]
@@ -198,12 +198,12 @@ def _reference(one: Judged, match: Match, thumbnails: Thumbnails) -> Figure:
     # A reference is judged as the answer is: right where it stands within the same metres of the truth.
     kind = "plain" if off is None else "right" if off <= WITHIN_M else "wrong"
     away = "position unknown" if off is None else f"{told_metres(off)} away"
-    score = Words(f"{match.score:.2f}", "score", "how alike; 1 is the same picture")
+    score = CaptionPart(f"{match.score:.2f}", "score", "how alike; 1 is the same picture")
     return Figure(
         f"reference {kind}",
         thumbnails.of(match.photo.path, name, side=REFERENCE_SIDE),
         f"Reference {name}, {away}, score {match.score:.2f}",
-        caption=(score, Words(away, "away")),
+        caption=(score, CaptionPart(away, "away")),
     )
 
 

@@ -92,7 +92,7 @@ class DemoResult:
         )
 
     @property
-    def right_share(self) -> float:
+    def right_fraction(self) -> float:
         """Right answers among all queries, unknown ones included, 0 to 1; 0 where nothing was asked."""
         return self.count("right") / self.queries if self.queries else 0.0
 
@@ -142,8 +142,8 @@ def table(result: DemoResult) -> Table:
 
 def _row(result: DemoResult, condition: str | None, photos: int) -> list[Text]:
     right, wrong, unknown = (result.count(verdict, condition=condition) for verdict in VERDICTS)
-    share = f" ({100 * right / photos:.0f} %)" if condition is None and photos else ""
-    cells = [condition or "all", str(photos), f"{right}{share}", str(wrong), str(unknown)]
+    percent = f" ({100 * right / photos:.0f} %)" if condition is None and photos else ""
+    cells = [condition or "all", str(photos), f"{right}{percent}", str(wrong), str(unknown)]
     # Text, not str: a condition in brackets is no markup of the table's.
     return [Text(cell) for cell in (*cells, distance(result.median_error(condition)))]
 

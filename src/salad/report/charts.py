@@ -55,15 +55,15 @@ class ChartPoint:
 
     x: float
     y: float
-    words: str
+    text: str
     interval: Interval | None = None
 
     @property
-    def said(self) -> str:
+    def label(self) -> str:
         """The figure with its interval."""
         if self.interval is None:
-            return self.words
-        return f"{self.words}, 95 %: {self.interval.low:.1f} to {self.interval.high:.1f}"
+            return self.text
+        return f"{self.text}, 95 %: {self.interval.low:.1f} to {self.interval.high:.1f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +88,9 @@ class Chart:
     width, height = LEFT + WIDE + RIGHT, ABOVE + HIGH + BELOW
 
     @property
-    def said(self) -> str:
+    def label(self) -> str:
         """All of it in words."""
-        return f"{self.title}: {self.y.name} over {self.x.name}. " + "; ".join(p.words for p in self.points)
+        return f"{self.title}: {self.y.name} over {self.x.name}. " + "; ".join(p.text for p in self.points)
 
     def across(self, value: float) -> float:
         """Where a value of the lower axis is, in units from the left."""
@@ -129,8 +129,8 @@ def recall_chart(result: Result) -> Chart:
     some = sorted({round(k) for k in np.linspace(1, deepest, min(deepest, POINTS))})
     line = [(float(k), 100 * float(np.mean(ranks <= k))) for k in some]
     marks = [
-        ChartPoint(k, share, f"R@{k}: {share:.1f} %", result.intervals.get(k))
-        for k, share in result.recall.items()
+        ChartPoint(k, percent, f"R@{k}: {percent:.1f} %", result.intervals.get(k))
+        for k, percent in result.recall.items()
     ]
     x = Axis("a right one among the first", 0, deepest, tuple((k, f"{k}") for k in result.recall))
     return Chart("Recall", x, PERCENT, line, marks)
@@ -138,15 +138,15 @@ def recall_chart(result: Result) -> Chart:
 
 def precision_recall_chart(result: Result) -> Chart | None:
     """Precision over recall as the least score that is believed falls; None where there are no scores."""
-    told, short = result.answers(), result.precision_recall
-    if told is None or short is None:
+    answers, short = result.answers(), result.precision_recall
+    if answers is None or short is None:
         return None
-    curve = told.curve()
+    curve = answers.curve()
     line = [(0.0, float(curve.precision[0]))]
     for recall, precision in zip(curve.recall.tolist(), curve.precision.tolist(), strict=True):
         line += [(line[-1][0], precision), (recall, precision)]  # steps, as the area counts them
-    said = f"recall at 100 % precision: {short.recall_at_full_precision:.1f} %"
-    marks = [ChartPoint(short.recall_at_full_precision, 100, said)] if short.threshold is not None else []
+    text = f"recall at 100 % precision: {short.recall_at_full_precision:.1f} %"
+    marks = [ChartPoint(short.recall_at_full_precision, 100, text)] if short.threshold is not None else []
     x = Axis("recall, %", 0, 100, TICKS)
     return Chart("Precision over recall", x, Axis("precision, %", 0, 100, TICKS), line, marks)
 
@@ -156,8 +156,8 @@ def metres_chart(result: Result) -> Chart | None:
     known = result.distances
     if known is None:
         return None
-    told = [one.metres for one in result.per_query if result.counts(one)]
-    apart = sorted(metres for metres in told if metres is not None and math.isfinite(metres))
+    counted = [one.metres for one in result.per_query if result.counts(one)]
+    apart = sorted(metres for metres in counted if metres is not None and math.isfinite(metres))
     reach = max([*known.within, *apart, 10])
     high = min(10.0 ** math.ceil(math.log10(reach)), METRES[1])
     # Below a metre nobody knows positions so well.
@@ -168,8 +168,8 @@ def metres_chart(result: Result) -> Chart | None:
             line += [(far, line[-1][1]), (far, 100 * number / known.known)]
     line.append((high, line[-1][1]))
     marks = [
-        ChartPoint(within, share, f"within {within} m: {share:.1f} %", known.within_intervals.get(within))
-        for within, share in known.within.items()
+        ChartPoint(within, percent, f"within {within} m: {percent:.1f} %", known.within_intervals.get(within))
+        for within, percent in known.within.items()
     ]
     tens = (10.0**power for power in range(round(math.log10(high)) + 1))
     x = Axis(

@@ -66,7 +66,7 @@ def draw_report(result: Result, page: Path, model: Describes | None = None) -> t
     thumbnails = Thumbnails(model)
     strips = MistakeStrips(result, page, thumbnails)
     mistakes = [(one, [strips.strip(n, marked=n in marked) for n in one.numbers]) for one in shown]
-    missing = thumbnails.missing_told  # only now: the strips have opened the photos
+    missing = thumbnails.missing_note  # only now: the strips have opened the photos
     text = render(
         "evaluation.html.j2",
         result=result,

@@ -84,13 +84,13 @@ class QueryMark:
     Attributes:
         number: Of the query, from 1.
         outcome: What became of it: its colour and its shape.
-        said: The same in words.
+        label: The same in words.
         linked: Whether it leads to its strip of photos, `#query-N`.
     """
 
     number: int
     outcome: str
-    said: str
+    label: str
     linked: bool = True
 
     @classmethod
@@ -118,7 +118,7 @@ class RegionMap:
         frame: Where things fall on it.
         queries: How many it shows.
         references: Dots, as the data of one SVG path.
-        ways: From queries that were answered wrongly to where they were thought to be.
+        errors: Lines from queries that were answered wrongly to where they were thought to be.
         crowds: Dots of the queries without a mark of their own.
         marks: Queries with their places in units, the right ones first and so below the others.
     """
@@ -126,7 +126,7 @@ class RegionMap:
     frame: Frame
     queries: int
     references: str
-    ways: Sequence[Shapes]
+    errors: Sequence[Shapes]
     crowds: Sequence[Shapes]
     marks: Sequence[tuple[QueryMark, float, float]]
 
@@ -153,12 +153,12 @@ class RegionMap:
             for number in sorted(set(some) - set(crowd)):
                 mark = QueryMark.of(result.per_query[number], number, linked=number in linked)
                 marks.append((mark, *frame.at(places[number])))
-        return cls(frame, len(places), _dots(seen), ways_to_mistakes(frame, result, places), crowds, marks)
+        return cls(frame, len(places), _dots(seen), error_lines(frame, result, places), crowds, marks)
 
 
-def ways_to_mistakes(frame: Frame, result: Result, places: Mapping[int, Degrees]) -> list[Shapes]:
-    """From each query that was answered wrongly to where it was thought to be; many are drawn faintly."""
-    ways: dict[Outcome, list[str]] = {}
+def error_lines(frame: Frame, result: Result, places: Mapping[int, Degrees]) -> list[Shapes]:
+    """Lines from each query that was answered wrongly to where it was thought to be; many are drawn faintly."""
+    lines: dict[Outcome, list[str]] = {}
     for number, here in places.items():
         one = result.per_query[number]
         there = position(result.known[one.matches[0]].where) if one.matches else None
@@ -167,11 +167,11 @@ def ways_to_mistakes(frame: Frame, result: Result, places: Mapping[int, Degrees]
             # Cut where it has long left the map: a browser draws every dash of a line to the antipodes.
             cut = min(1.0, 2 * WIDE / max(math.hypot(to_x - x, to_y - y), 1.0))
             line = f"M{x:.1f} {y:.1f}l{(to_x - x) * cut:.1f} {(to_y - y) * cut:.1f}"
-            ways.setdefault(outcome(one), []).append(line)
+            lines.setdefault(outcome(one), []).append(line)
     return [
-        Shapes(kind, "".join(ways[kind]), min(0.6, max(0.1, 25 / len(ways[kind]))))
+        Shapes(kind, "".join(lines[kind]), min(0.6, max(0.1, 25 / len(lines[kind]))))
         for kind in OUTCOMES
-        if kind in ways
+        if kind in lines
     ]
 
 

@@ -13,7 +13,7 @@ from urllib.parse import quote_from_bytes
 from salad.evaluation.result import QueryResult, Result
 from salad.geo import told_metres
 from salad.report.page import ordinal
-from salad.report.strips import Figure, Strip, Thumbnails, Words
+from salad.report.strips import CaptionPart, Figure, Strip, Thumbnails
 
 Outcome: TypeAlias = Literal["right", "wrong", "unanswerable"]
 OUTCOMES: tuple[Outcome, ...] = ("right", "wrong", "unanswerable")
@@ -62,7 +62,7 @@ def worst(results: Sequence[QueryResult], *, besides: Sequence[int] = (), most: 
     return [number for *_, number in sorted(by_badness)[:most]]
 
 
-def told(one: QueryResult) -> str:
+def in_words(one: QueryResult) -> str:
     """What became of a query, in a few words."""
     if not one.positives:
         return "no reference is right"
@@ -136,25 +136,27 @@ class MistakeStrips:
             marked: Whether it has a mark on the map, which the strip then leads back to.
         """
         one, known = self.result.per_query[number], self.result.known
-        figures = [self._photo("asked", 1, one.query, "Query", Words("asked"))]
+        figures = [self._photo("asked", 1, one.query, "Query", CaptionPart("asked"))]
         if one.matches:
-            score = (Words(f"{one.scores[0]:.3f}", "score"),) if one.scores else ()
+            score = (CaptionPart(f"{one.scores[0]:.3f}", "score"),) if one.scores else ()
             name = known[one.matches[0]].name
-            figures.append(self._photo("found wrong", 0, name, "Reference", Words("found"), *score))
+            figures.append(self._photo("found wrong", 0, name, "Reference", CaptionPart("found"), *score))
         else:
-            figures.append(Figure("found", None, "nothing", caption=(Words("found"),)))
+            figures.append(Figure("found", None, "nothing", caption=(CaptionPart("found"),)))
         if one.right is not None and one.right in known:
             first, name = one.first_right, known[one.right].name
             rank = f"found {ordinal(first)}" if first else f"not among the first {len(one.matches)}"
-            figures.append(self._photo("missed right", 0, name, "Reference", Words(f"right: {rank}")))
+            figures.append(self._photo("missed right", 0, name, "Reference", CaptionPart(f"right: {rank}")))
         else:
-            figures.append(Figure("missed", None, "none of the references", caption=(Words("right"),)))
-        return Strip(number + 1, outcome(one), told(one), one.query, figures, one.group or "", marked=marked)
+            figures.append(Figure("missed", None, "none of the references", caption=(CaptionPart("right"),)))
+        return Strip(
+            number + 1, outcome(one), in_words(one), one.query, figures, one.group or "", marked=marked
+        )
 
-    def _photo(self, kind: str, side: int, name: str, role: str, *words: Words) -> Figure:
+    def _photo(self, kind: str, side: int, name: str, role: str, *words: CaptionPart) -> Figure:
         path = Path(self.result.folders[side], name)
         small = self.thumbnails.of(path, name, side=SIDE)
-        caption = (*words, Words(name, "name"))
+        caption = (*words, CaptionPart(name, "name"))
         if small is None:
             return Figure(kind, None, f"{name} cannot be opened any more", caption=caption)
         return Figure(kind, small, f"{role} {name}", link(path, self.page), caption)

@@ -84,7 +84,7 @@ class Thumbnails:
         return Thumbnail(data_uri(photo, quality=QUALITY), photo.width, photo.height, layers)
 
     @property
-    def missing_told(self) -> tuple[str, ...]:
+    def missing_note(self) -> tuple[str, ...]:
         """What to say of the missing ones, if there are any."""
         if not self.missing:
             return ()
@@ -99,8 +99,8 @@ class Thumbnails:
         return sum(self.dustbins) / len(self.dustbins) if self.dustbins else None
 
 
-class Words(NamedTuple):
-    """Part of a caption: the text, its style, and what is said when it is pointed at."""
+class CaptionPart(NamedTuple):
+    """Part of a caption: the text, its style, and what appears when it is pointed at."""
 
     text: str
     kind: str = ""
@@ -123,7 +123,7 @@ class Figure:
     thumbnail: Thumbnail | None
     alt: str
     href: str = ""
-    caption: Sequence[Words] = ()
+    caption: Sequence[CaptionPart] = ()
 
 
 @dataclass(frozen=True, slots=True)

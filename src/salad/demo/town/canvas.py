@@ -118,8 +118,8 @@ class Canvas:
 
 def ramp(top: NDArray[np.floating], bottom: NDArray[np.floating], shape: tuple[int, int]) -> Floats:
     """Colours ``[H, W, 3]`` that fade from `top` down to `bottom`."""
-    share = np.linspace(0, 1, shape[0], dtype=np.float32)[:, None, None]
-    return np.broadcast_to(top * (1 - share) + bottom * share, (*shape, 3)).astype(np.float32)
+    part = np.linspace(0, 1, shape[0], dtype=np.float32)[:, None, None]
+    return np.broadcast_to(top * (1 - part) + bottom * part, (*shape, 3)).astype(np.float32)
 
 
 def noise(shape: tuple[int, int], seed: Sequence[int], coarsest: int = 4, octaves: int = 5) -> Floats:
@@ -142,12 +142,12 @@ def _stretch(values: Floats, length: int, axis: int) -> Floats:
     cells = values.shape[axis]
     # Indices are taken modulo the lattice, so that the noise repeats without a seam.
     place = np.arange(length, dtype=np.float32) * np.float32(cells / length)
-    whole = place.astype(np.int64)
-    share = place - whole
-    share = share * share * (3 - 2 * share)  # smoothstep: no creases at the lattice's lines
-    share = share[:, None] if axis == 0 else share
-    low, high = np.take(values, whole % cells, axis), np.take(values, (whole + 1) % cells, axis)
-    return np.asarray(low + (high - low) * share, np.float32)
+    cell = place.astype(np.int64)
+    part = place - cell
+    part = part * part * (3 - 2 * part)  # smoothstep: no creases at the lattice's lines
+    part = part[:, None] if axis == 0 else part
+    low, high = np.take(values, cell % cells, axis), np.take(values, (cell + 1) % cells, axis)
+    return np.asarray(low + (high - low) * part, np.float32)
 
 
 def _blocks(
@@ -161,7 +161,7 @@ def _blocks(
     wall[(np.arange(shape[0]) % course) == 0] *= joint
     upright = ((np.arange(shape[1])[None] + (row % 2) * (length // 2)) % length) == 0
     wall[np.broadcast_to(upright, shape)] *= joint
-    # A tint of the whole wall's: no two are of one clay.
+    # A tint of one wall's: no two are of one clay.
     tint = np.array([1.0, rng.normal(1, 0.01), rng.normal(1, 0.02)], np.float32)
     return np.asarray(wall[..., None] * tint, np.float32)
 

@@ -100,8 +100,8 @@ class Facade(Canvas):
     def _shutters(self, left: float, low: float, right: float, high: float) -> None:
         reach = (right - left) * 0.46
         closed = self.rng.random() < 0.1
-        beside = (left - reach - 0.05, left - 0.05), (right + 0.05, right + reach + 0.05)
-        for start, stop in ((left, right),) if closed else beside:
+        open_wings = (left - reach - 0.05, left - 0.05), (right + 0.05, right + reach + 0.05)
+        for start, stop in ((left, right),) if closed else open_wings:
             self.rect(start, low, stop, high, self.style.accent, 1)
             for slat in np.arange(low + 0.08, high - 0.08, 0.13):
                 self.tone(start + 0.06, slat, stop - 0.06, slat + 0.05, 0.72)

@@ -216,8 +216,8 @@ class Surfaces:
             )[:, 0]
             # A crown is a whole column of shade in the map, so leaves count as higher up than they are.
             above = self.height[sunny] + np.float32(3.0) * self.leaf[sunny] - reach
-            share = cosine[sunny] * np.clip(above / np.float32(0.5) + np.float32(0.9), 0, 1)
-            total[sunny] += share[:, None] * np.array(light.direct, np.float32)
+            sunlight = cosine[sunny] * np.clip(above / np.float32(0.5) + np.float32(0.9), 0, 1)
+            total[sunny] += sunlight[:, None] * np.array(light.direct, np.float32)
         return np.asarray(total, np.float32)
 
     def lamplight(self, lamps: NDArray[np.float64]) -> Floats:
@@ -313,8 +313,8 @@ def mirror(rgb: Floats, below: NDArray[np.bool_], wet: float, rough: Floats) -> 
     source = np.clip(2 * foot[columns] - rows + ripple, 0, below.shape[0] - 1).astype(np.int32)
     grazing = np.clip(1.15 - (rows - foot[columns]) / (0.42 * below.shape[0]), 0.25, 1)
     puddle = np.clip(0.55 + 0.25 * rough[rows, columns], 0.1, 1)
-    share = (wet * grazing * puddle)[:, None].astype(np.float32)
-    rgb[rows, columns] = rgb[rows, columns] * (0.8 - 0.45 * share) + rgb[source, columns] * share
+    mirrored = (wet * grazing * puddle)[:, None].astype(np.float32)
+    rgb[rows, columns] = rgb[rows, columns] * (0.8 - 0.45 * mirrored) + rgb[source, columns] * mirrored
 
 
 def expose(
@@ -327,7 +327,7 @@ def expose(
         light: What the camera meters for, and its noise.
         rng: Draws the noise.
         size: Width and height of the photo.
-        shake: How far exposure and white balance wander, as a share.
+        shake: How far exposure and white balance wander, as a part of it.
     """
     height, width = linear.shape[:2]
     # The camera meters the lower three quarters, as those that distrust the sky do.

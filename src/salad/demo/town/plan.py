@@ -270,9 +270,9 @@ def lay_streets(seed: int, across: int, along: int) -> tuple[Street, ...]:
         # Each street is drawn by its own ends: a larger town has the smaller one's streets in it.
         bow = np.random.default_rng([seed, 2, *start, *stop]).uniform(-5, 5)
         step = nodes[stop] - nodes[start]
-        share = np.linspace(0, 1, int(np.linalg.norm(step)) + 1)[:, None]
+        part = np.linspace(0, 1, int(np.linalg.norm(step)) + 1)[:, None]
         side = np.array([-step[1], step[0]]) / np.linalg.norm(step)
-        line = nodes[start] + share * step + np.sin(np.pi * share) * bow * side
+        line = nodes[start] + part * step + np.sin(np.pi * part) * bow * side
         lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
         streets.append(Street(number, line, np.concatenate([[0.0], np.cumsum(lengths)])))
     return tuple(streets)

@@ -29,12 +29,12 @@ def paint_tree(sort: int, variant: int) -> Texture:
     # In random order: sorted by height the tufts would lie like roof tiles.
     for _ in range(44):
         centre_up = rng.uniform(low + 0.08, high - 0.08)
-        share = (centre_up - low) / (high - low)
+        part = (centre_up - low) / (high - low)
         # Two sorts in three have round crowns, the third is a cone.
-        reach = 0.33 * np.sqrt(max(0.05, 1 - (2 * share - 0.9) ** 2)) if sort % 3 else 0.3 * (1.15 - share)
+        reach = 0.33 * np.sqrt(max(0.05, 1 - (2 * part - 0.9) ** 2)) if sort % 3 else 0.3 * (1.15 - part)
         centre = 0.4 + rng.uniform(-1, 1) * max(reach - 0.05, 0.02)
         # A clump of leaves, bright above and dark below.
-        radius, light = rng.uniform(0.06, 0.1), 0.62 + 0.5 * share
+        radius, light = rng.uniform(0.06, 0.1), 0.62 + 0.5 * part
         colour = canvas.rgb[0, 0] * rng.uniform(0.85, 1.15)
         angle, far = rng.uniform(0, 2 * np.pi, 240), radius * np.sqrt(rng.random(240))
         x, y = centre + far * np.cos(angle), centre_up + far * np.sin(angle) * 0.8
@@ -172,8 +172,8 @@ def chimney_faces(house: House, low: NDArray[np.float64], height: float) -> Face
     faces, style = Faces(), house.style
     across = (low[1] - low[0]) / np.linalg.norm(low[1] - low[0])
     inward = (low[3] - low[0]) / np.linalg.norm(low[3] - low[0])
-    share = 0.1 if sum(style.seed) % 2 else 0.8
-    foot = low[0] + (low[1] - low[0]) * share + (low[3] - low[0]) * 0.4 + np.array([0, 0, height])
+    part = 0.1 if sum(style.seed) % 2 else 0.8
+    foot = low[0] + (low[1] - low[0]) * part + (low[3] - low[0]) * 0.4 + np.array([0, 0, height])
     top = np.array([0, 0, 1.5 + (4.2 * style.rise if style.roof == "eaves" else 2.4)])
     corners = [foot, foot + across * 0.8, foot + across * 0.8 + inward * 0.6, foot + inward * 0.6]
     for number in range(4):
