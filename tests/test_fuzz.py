@@ -1,7 +1,7 @@
 """Strangers' bytes: mutated photos, EXIF, `@` names, tables and lists give a value or a sentence, in good time.
 
 About 1,500 inputs each time; with SALAD_THOROUGH set 10,000, and the slowest is printed. Photos are read by a
-helper, so that a crash, a hang or a hunger for memory is a sentence here too.
+worker process, so that a crash, a hang or a hunger for memory is a sentence here too.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from salad.images import workers
 from salad.images.decode import existing
 from salad.images.metadata import Position, at_name, parse_at_name, to_exif
 from salad.images.photo import PhotoTable, listed
-from salad.images.workers import Helpers
+from salad.images.workers import FEW, Workers
 
 THOROUGH = "SALAD_THOROUGH" in os.environ
 HANG = 20.0  # seconds; a slow machine is no hang, and real hangs have no end
@@ -41,7 +41,7 @@ PIXELS = 20_000_000 if THOROUGH else 4_000_000  # the limit meanwhile: time and 
 MEMORY_KIB = (100_000_000 + 25 * PIXELS) // 1024  # of the reading process: Python, and the costliest decoder
 PHOTOS, EXIFS, TEXTS = (6400, 1200, 800) if THOROUGH else (720, 240, 180)  # texts: of each of three kinds
 
-# A helper that reads a photo as indexing does and tells what came of it.
+# A worker process that reads a photo as indexing does and tells what came of it.
 READER = """
 import pathlib, resource, time
 from salad.images import decode as imagefile, workers as reading
@@ -228,9 +228,9 @@ def sign(data: bytearray) -> None:
 
 @dataclass
 class Reader:
-    """Reads one photo after another in a helper and keeps the slowest."""
+    """Reads one photo after another in a worker process and keeps the slowest."""
 
-    crew: Helpers
+    crew: Workers
     folder: Path
     slowest: tuple[float, str] = (0.0, "")
     memory: int = 0
@@ -240,7 +240,7 @@ class Reader:
     def read(self, name: str, content: bytes) -> None:
         path = self.folder / f"fuzz{Path(name).suffix}"
         path.write_bytes(content)
-        said, seconds, memory = self.crew._ask("tried", path, PIXELS)
+        said, seconds, memory = self.crew.ask("tried", path, PIXELS)
         self.slowest = max(self.slowest, (seconds, name))
         self.memory, self.opened, self.tried = memory, self.opened + (not said), self.tried + 1
         assert not said or said.startswith(str(path)), name
@@ -257,7 +257,7 @@ class Reader:
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
     pytest.importorskip("resource", reason="only Unix measures memory so")
     monkeypatch.setattr(workers, "_STARTER", READER)
-    made = Reader(Helpers(1, seconds=HANG), tmp_path)
+    made = Reader(Workers(FEW, at_once=1, seconds=HANG), tmp_path)
     yield made
     made.crew.close()
 

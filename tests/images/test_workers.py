@@ -1,4 +1,4 @@
-"""Helpers read photos as this process would, and one that dies or dawdles costs its photo only."""
+"""Workers read photos as this process would, and one that dies or dawdles costs its photo only."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from salad.geo import GeoPoint
 from salad.images import workers
 from salad.images.metadata import save_jpeg
 from salad.images.photo import content_hash, read_photo
-from salad.images.workers import Helpers
+from salad.images.workers import PhotoRead, Workers
 
-# A helper in whose hands some photos do what broken ones do to a decoder.
+# A worker process in which some photos do what broken ones do to a decoder.
 TRICKED = """
 import os, signal, sys, time
 from salad.images import workers as reading
@@ -47,6 +47,7 @@ reading.TASKS["decode"] = tricked
 reading.main()
 """
 SHAPE = (24, 32, "bilinear")
+FEW = workers.FEW
 
 
 def photo(path: Path, seed: int = 0) -> Path:
@@ -56,22 +57,20 @@ def photo(path: Path, seed: int = 0) -> Path:
 
 
 @pytest.fixture
-def crew() -> Iterator[Helpers]:
-    made = Helpers(2)
-    yield made
-    made.close()
+def crew() -> Iterator[Workers]:
+    with Workers(FEW, at_once=2) as made:
+        yield made
 
 
 @pytest.fixture
-def tricked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Helpers]:
+def tricked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Workers]:
     monkeypatch.setattr(workers, "_STARTER", TRICKED)
-    made = Helpers(2, seconds=60)
-    yield made
-    made.close()
+    with Workers(FEW, at_once=2, seconds=60) as made:
+        yield made
 
 
-def pids(crew: Helpers) -> list[int]:
-    return [one._process.pid for one in crew._all if one._process is not None]
+def pids(crew: Workers) -> list[int]:
+    return [one._process.pid for one in crew._processes if one._process is not None]
 
 
 def is_running(pid: int) -> bool:
@@ -82,27 +81,27 @@ def is_running(pid: int) -> bool:
     return True
 
 
-def test_helpers_read_as_this_process_does(crew: Helpers, tmp_path: Path) -> None:
+def test_processes_read_as_this_process_does(crew: Workers, tmp_path: Path) -> None:
     paths = [photo(tmp_path / f"写真 @home {n}.jpg", n) for n in range(6)]
     with ThreadPoolExecutor(4) as pool:
-        looked = list(pool.map(crew.look, paths))
+        found = list(pool.map(crew.read, paths))
         decoded = list(pool.map(lambda path: crew.decode(path, *SHAPE), paths))
-    assert looked == [(read_photo(path), content_hash(path)) for path in paths]
+    assert found == [PhotoRead(read_photo(path), content_hash(path)) for path in paths]
     for path, pixels in zip(paths, decoded, strict=True):
         assert np.array_equal(pixels, workers.decode(path, *SHAPE))
     assert len(pids(crew)) <= 2
 
 
-def test_their_errors_are_ours(crew: Helpers, tmp_path: Path) -> None:
+def test_their_errors_are_ours(crew: Workers, tmp_path: Path) -> None:
     (tmp_path / "empty.jpg").touch()
     with pytest.raises(PhotoError, match=r"empty\.jpg is empty"):
         crew.decode(tmp_path / "empty.jpg", *SHAPE)
     with pytest.raises(PhotoError, match="no photo at"):
-        crew.look(tmp_path / "gone.jpg")
+        crew.read(tmp_path / "gone.jpg")
     assert len(pids(crew)) <= 2
 
 
-def test_a_crash_costs_one_photo(tricked: Helpers, tmp_path: Path) -> None:
+def test_a_crash_costs_one_photo(tricked: Workers, tmp_path: Path) -> None:
     with pytest.raises(PhotoError, match=r"kills\.jpg crashes its decoder \(SIGKILL\)"):
         tricked.decode(photo(tmp_path / "kills.jpg"), *SHAPE)
     with pytest.raises(PhotoError, match=r"exits\.jpg crashes its decoder \(exit code 3\)"):
@@ -112,35 +111,35 @@ def test_a_crash_costs_one_photo(tricked: Helpers, tmp_path: Path) -> None:
     assert (tmp_path / "been").exists()
 
 
-def test_a_helper_has_its_share_of_memory(tricked: Helpers, tmp_path: Path) -> None:
+def test_a_process_has_its_share_of_memory(tricked: Workers, tmp_path: Path) -> None:
     with pytest.raises(PhotoError, match="crashes its decoder"):
         tricked.decode(photo(tmp_path / "swells.jpg"), *SHAPE)
 
 
 def test_a_photo_that_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "_STARTER", TRICKED)
-    crew = Helpers(1, seconds=1.0)
+    crew = Workers(FEW, at_once=1, seconds=1.0)
     try:
         with pytest.raises(PhotoError, match=r"hangs\.jpg took over 1 s to read"):
             crew.decode(photo(tmp_path / "hangs.jpg"), *SHAPE)
-        crew._all[0]._seconds = 60
+        crew._processes[0]._seconds = 60
         assert crew.decode(photo(tmp_path / "good.jpg"), *SHAPE).shape == (24, 32, 3)
     finally:
         crew.close()
 
 
-def test_one_that_died_between_photos_is_replaced(crew: Helpers, tmp_path: Path) -> None:
+def test_one_that_died_between_photos_is_replaced(crew: Workers, tmp_path: Path) -> None:
     path = photo(tmp_path / "a.jpg")
-    crew.look(path)
+    crew.read(path)
     for pid in pids(crew):
         os.kill(pid, signal.SIGKILL)
-    assert [crew.look(path)[1] for _ in range(2)] == [content_hash(path)] * 2
+    assert [crew.read(path).content_hash for _ in range(2)] == [content_hash(path)] * 2
 
 
-def test_closing_ends_what_hangs(tricked: Helpers, tmp_path: Path) -> None:
+def test_closing_ends_what_hangs(tricked: Workers, tmp_path: Path) -> None:
     hangs = photo(tmp_path / "hangs.jpg")
     with ThreadPoolExecutor(1) as pool:
-        tricked.look(hangs)
+        tricked.read(hangs)
         waiting = pool.submit(tricked.decode, hangs, *SHAPE)
         running = pids(tricked)
         tricked.close()
@@ -148,26 +147,26 @@ def test_closing_ends_what_hangs(tricked: Helpers, tmp_path: Path) -> None:
             waiting.result()
     assert not any(map(is_running, running))
     with pytest.raises(PhotoError, match="was stopped"):
-        tricked.look(hangs)
+        tricked.read(hangs)
 
 
-@pytest.mark.parametrize("starter", ["raise SystemExit", "print('no helper')", "import no_such_module"])
+@pytest.mark.parametrize("starter", ["raise SystemExit", "print('no worker')", "import no_such_module"])
 def test_where_none_can_be_started_this_process_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, starter: str
 ) -> None:
     monkeypatch.setattr(workers, "_STARTER", starter)
-    crew = Helpers(1)
+    crew = Workers(FEW, at_once=1)
     path = photo(tmp_path / "a.jpg")
-    assert crew.look(path) == workers.look(path)
+    assert crew.read(path) == workers.read(path)
     with pytest.raises(PhotoError, match="no photo at"):
-        crew.look(tmp_path / "gone.jpg")
+        crew.read(tmp_path / "gone.jpg")
     crew.close()
 
 
 def test_where_there_is_no_python_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "no-python"))
-    crew = Helpers(1)
-    assert crew.look(photo(tmp_path / "a.jpg"))[1] == content_hash(tmp_path / "a.jpg")
+    crew = Workers(FEW, at_once=1)
+    assert crew.read(photo(tmp_path / "a.jpg")).content_hash == content_hash(tmp_path / "a.jpg")
     crew.close()
 
 
@@ -180,7 +179,7 @@ def test_signals_without_a_name_are_told_by_number() -> None:
 
 def test_main_answers_until_its_pipe_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, limits = photo(tmp_path / "a.jpg"), []
-    requests = pickle.dumps(("look", path)) + pickle.dumps(("decode", tmp_path / "gone.jpg", *SHAPE))
+    requests = pickle.dumps(("read", path)) + pickle.dumps(("decode", tmp_path / "gone.jpg", *SHAPE))
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(requests)))
     monkeypatch.setattr("resource.setrlimit", lambda *limit: limits.append(limit))
     read, write = os.pipe()
@@ -196,20 +195,65 @@ def test_main_answers_until_its_pipe_ends(tmp_path: Path, monkeypatch: pytest.Mo
     with os.fdopen(read, "rb") as replies:
         answers = [pickle.load(replies) for _ in range(3)]
         assert replies.read() == b""
-    assert answers[:2] == [workers.READY, workers.look(path)]
+    assert answers[:2] == [workers.READY, workers.read(path)]
     assert isinstance(answers[2], PhotoError)
     assert limits[0][1][0] <= workers.MEMORY
 
 
 def test_without_limits_it_reads_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "resource", None)
-    workers._limit_memory(1)
+    workers.limit_memory(1)
 
 
 def test_reading_here_needs_no_process(tmp_path: Path) -> None:
-    here, before = workers.Here(), threading.active_count()
+    here, before = Workers(FEW - 1), threading.active_count()
     path = photo(tmp_path / "a.jpg")
-    assert here.look(path) == workers.look(path)
+    assert here.read(path) == workers.read(path)
     assert np.array_equal(here.decode(path, *SHAPE), workers.decode(path, *SHAPE))
     here.close()
     assert threading.active_count() == before
+
+
+def test_one_trip_brings_all_of_a_photo_from_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, opened = photo(tmp_path / "a.jpg"), []
+    due = PhotoRead(read_photo(path), content_hash(path), workers.decode(path, *SHAPE))
+    honest = Path.open
+    monkeypatch.setattr(Path, "open", lambda self, *how: opened.append(self) or honest(self, *how))
+    for held in (workers._HELD, 0):  # in memory, or gone through twice
+        monkeypatch.setattr(workers, "_HELD", held)
+        found = workers.read(path, SHAPE)
+        assert found[:2] == due[:2]
+        assert np.array_equal(found.pixels, due.pixels)
+        assert opened.pop() == path
+        assert workers.read(path) == (*due[:2], None, "")
+        assert opened.pop() == path
+        assert opened == []
+
+
+def test_a_photo_that_cannot_be_decoded_is_known_all_the_same(tmp_path: Path) -> None:
+    path = photo(tmp_path / "cut.jpg")
+    path.write_bytes(path.read_bytes()[:-300])
+    found = workers.read(path, SHAPE)
+    assert (found.photo, found.content_hash, found.pixels) == (read_photo(path), content_hash(path), None)
+    assert "cut.jpg is damaged" in found.trouble
+
+
+def test_what_is_on_its_way_is_bounded_and_in_order() -> None:
+    begun: list[int] = []
+    most = 0
+    with Workers(0) as made:
+        for number, result in enumerate(made.in_order(lambda n: begun.append(n) or n, range(50), ahead=4)):
+            assert result == number
+            most = max(most, len(begun) - number)
+    assert most <= 5
+
+
+@pytest.mark.parametrize(("memory", "count"), [(1 << 20, 1), (5 << 30, 2), (1 << 40, 8)])
+def test_no_more_are_read_at_once_than_memory_allows(
+    memory: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sysconf", lambda name: 1 if name == "SC_PAGE_SIZE" else memory)
+    assert workers.photos_at_once() == count

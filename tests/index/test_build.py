@@ -19,7 +19,7 @@ from PIL import Image
 from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo, PhotoTable, content_hash
-from salad.images.workers import Helpers, _hands, in_order, workers
+from salad.images.workers import PhotoRead, Workers
 from salad.index import build
 from salad.index.build import index_photos
 from salad.index.index import Index
@@ -206,18 +206,18 @@ def test_an_index_that_cannot_be_written_is_not_tried_twice(
     assert calls == [1]
 
 
-# What a helper runs whose decoder breaks down over some photos.
+# What a worker process runs whose decoder breaks down over some photos.
 BROKEN = """
 import os
 from salad.images import workers as reading
 
-honest = reading.TASKS["decode"]
-reading.TASKS["decode"] = lambda path, *rest: os._exit(9) if path.name in ("03.png", "11.png") else honest(path, *rest)
+honest = reading.TASKS["read"]
+reading.TASKS["read"] = lambda path, *rest: os._exit(9) if path.name in ("03.png", "11.png") else honest(path, *rest)
 reading.main()
 """
 
 
-def test_many_photos_are_read_by_helpers_and_a_crash_costs_one(
+def test_many_photos_are_read_by_processes_and_a_crash_costs_one(
     index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("salad.images.workers.FEW", 10)
@@ -234,22 +234,22 @@ def test_many_photos_are_read_by_helpers_and_a_crash_costs_one(
         assert best.photo == Photo(path, GeoPoint(1, 2) if path.name == "05.png" else None)
 
 
-def test_an_interrupt_ends_the_helpers(
+def test_an_interrupt_ends_the_processes(
     index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[Helpers] = []
+    made: list[Workers] = []
     monkeypatch.setattr("salad.images.workers.FEW", 10)
-    monkeypatch.setattr("salad.images.workers.Helpers", lambda n: made.append(Helpers(n)) or made[0])
+    monkeypatch.setattr("salad.index.build.Workers", lambda photos: made.append(Workers(photos)) or made[0])
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         index_photos(photos, index, CountingDescriber(interrupt_at=7), batch_size=3)
     assert len(index) == 6
     assert threading.active_count() == before
     with pytest.raises(PhotoError, match="was stopped"):
-        made[0].look(photos[0])
+        made[0].read(photos[0])
 
 
-# Indexes a folder slowly, in helpers, telling how far it is.
+# Indexes a folder slowly, with worker processes, telling how far it is.
 SLOW = """
 import sys, time
 from pathlib import Path
@@ -292,26 +292,109 @@ def test_ctrl_c_reaches_every_process_and_loses_nothing(photos: list[Path], tmp_
         assert (done.added, done.skipped) == (20 - held, held)
 
 
-@pytest.mark.parametrize(("memory", "hands"), [(1 << 20, 1), (5 << 30, 2), (1 << 40, 8)])
-def test_no_more_hands_than_memory_allows(memory: int, hands: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    monkeypatch.setattr(os, "sysconf", lambda name: 1 if name == "SC_PAGE_SIZE" else memory)
-    assert _hands() == hands
-
-
 def test_another_model_adds_nothing(index: Index, photos: list[Path]) -> None:
     with pytest.raises(WrongModelError):
         index_photos(photos, index, FakeDescriber(seed=5))
     assert len(index) == 0
 
 
-def test_work_in_hand_is_bounded_and_in_order() -> None:
-    begun, most = [], 0
-    with workers() as pool:
-        for number, result in enumerate(in_order(pool, lambda n: begun.append(n) or n, range(50), ahead=4)):
-            assert result == number
-            most = max(most, len(begun) - number)
-    assert most <= 5
+@pytest.fixture
+def trips(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
+    """Each trip to a photo: its name, and whether it was decoded."""
+    made: list[tuple[str, bool]] = []
+    honest = Workers.read
+
+    def told(self: Workers, path: Path, size: tuple[int, int, str] | None = None) -> PhotoRead:
+        made.append((path.name, size is not None))
+        return honest(self, path, size)
+
+    monkeypatch.setattr(Workers, "read", told)
+    return made
+
+
+def test_a_photo_is_read_in_one_trip_and_decoded_where_its_path_is_new(
+    index: Index, photos: list[Path], trips: list[tuple[str, bool]]
+) -> None:
+    index_photos(photos[:10], index, FakeDescriber(), batch_size=3)
+    assert sorted(trips) == [(path.name, True) for path in photos[:10]]
+    trips.clear()
+    index_photos(photos, index, FakeDescriber(), batch_size=3)
+    assert sorted(trips) == [(path.name, number >= 10) for number, path in enumerate(photos)]
+
+
+def test_a_replaced_photo_takes_two_trips_and_is_right(
+    index: Index, photos: list[Path], trips: list[tuple[str, bool]]
+) -> None:
+    index_photos(photos, index, FakeDescriber(), batch_size=3)
+    draw(photos[4], 99)
+    photos[7].write_bytes(b"no photo any more")
+    trips.clear()
+    done = index_photos(photos, index, FakeDescriber(), batch_size=3)
+    assert (done.added, done.skipped, len(done.unreadable), len(index)) == (1, 18, 1, 20)
+    assert [trip for trip in sorted(trips) if trips.count((trip[0], True))] == [
+        (photos[4].name, False), (photos[4].name, True), (photos[7].name, False), (photos[7].name, True),
+    ]  # fmt: skip
+    ((best,),) = index.search(FakeDescriber().describe([photos[4]]), k=1)
+    assert best.photo.path == photos[4]
+    assert best.score == pytest.approx(1, abs=2e-3)
+
+
+def test_the_index_is_asked_once_a_batch(
+    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    for name in ("find", "known", "taken"):
+        honest = getattr(Index, name)
+        monkeypatch.setattr(
+            Index, name, lambda self, some, honest=honest: asked.append(len(some)) or honest(self, some)
+        )
+    index_photos(photos, index, FakeDescriber(), batch_size=5)
+    assert asked == [20, 5, 5, 5, 5]  # about a page of paths, and about each batch's contents
+
+
+class Meddling(FakeDescriber):
+    """While it describes, somebody else has changed the index."""
+
+    def describe(self, photos: Sequence[np.ndarray], *, batch_size: int = 16) -> np.ndarray:
+        self.meddle()
+        return super().describe(photos, batch_size=batch_size)
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_what_somebody_else_adds_meanwhile_is_added_once(
+    index: Index, photos: list[Path], moved: bool
+) -> None:
+    """Between the question about a batch and its commit."""
+    model = Meddling()
+    others = [path.with_name(f"copy-{path.name}") if moved else path for path in photos[:6]]
+    for path, other in zip(photos, others, strict=False):
+        other.write_bytes(path.read_bytes())
+
+    def meddle() -> None:
+        with Index.open(index.folder) as beside:
+            index_photos(others, beside, FakeDescriber())
+
+    object.__setattr__(model, "meddle", meddle)
+    done = index_photos(photos, index, model, batch_size=30)
+    assert (done.added, done.skipped, done.moved, len(index)) == (14, 6, 0, 20)
+    assert len(done.twins) == (6 if moved else 0)
+    assert {held.path for held in index.photos()} == {*others, *photos[6:]}
+    assert index.verify() == []
+
+
+def test_what_somebody_else_removes_meanwhile_is_described_again(index: Index, photos: list[Path]) -> None:
+    index_photos(photos, index, FakeDescriber())
+    honest = index.taken
+
+    def removed_after(paths: Sequence[Path]) -> set[Path]:
+        held = honest(paths)
+        with Index.open(index.folder) as beside:
+            beside.remove(photos[:3])
+        return held
+
+    index.taken = removed_after  # type: ignore[method-assign]  # between the guess and the question
+    done = index_photos(photos, index, FakeDescriber(), batch_size=4)
+    assert (done.added, done.skipped, len(index)) == (3, 17, 20)
 
 
 FILES = ["a", "b", "c", "d"]

@@ -74,7 +74,7 @@ class PlacesCommand:
         """All photos with where, which way and when they were taken."""
         from salad.datasets.readers.gsv_cities import is_gsv_cities
         from salad.images.photo import PhotoTable, find_photos, read_photo
-        from salad.images.workers import in_order, workers
+        from salad.images.workers import Workers
 
         names = list(shell.listed(self.photos))
         known = next((name for name in names if is_gsv_cities(Path(name))), None)
@@ -86,8 +86,8 @@ class PlacesCommand:
         paths = find_photos(names)
         table: PhotoTable | None = PhotoTable.read(self.table) if self.table else None
         photos: list[Photo] = []
-        with workers() as pool, shell.progress("looking") as bar:
-            for photo in in_order(pool, lambda path: read_photo(path, table), paths, ahead=64):
+        with Workers(0) as workers, shell.progress("looking") as bar:  # in this process: no pixel is decoded
+            for photo in workers.in_order(lambda path: read_photo(path, table), paths, ahead=64):
                 photos.append(photo)
                 bar(len(photos), len(paths))
         return photos
@@ -122,20 +122,20 @@ def _rows(told: dict[str, Any]) -> list[tuple[str, Any]]:
 
 def _unreadable(paths: Sequence[Path]) -> dict[Path, str]:
     """A sentence for each photo whose pixels cannot be read."""
-    from salad.images.workers import in_order, reader_for, workers
+    from salad.images.workers import Workers
 
     trouble: dict[Path, str] = {}
-    with workers() as pool, reader_for(len(paths)) as reader, shell.progress("checking") as bar:
+    with Workers(len(paths)) as workers, shell.progress("checking") as bar:
 
         def tried(path: Path) -> str:
             try:
-                reader.decode(path, _SMALL, _SMALL, "bilinear")
+                workers.decode(path, _SMALL, _SMALL, "bilinear")
             except SaladError as error:
                 return str(error)
             return ""
 
         for done, (path, sentence) in enumerate(
-            zip(paths, in_order(pool, tried, paths, ahead=64), strict=True), start=1
+            zip(paths, workers.in_order(tried, paths, ahead=64), strict=True), start=1
         ):
             if sentence:
                 trouble[path] = sentence

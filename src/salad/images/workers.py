@@ -1,13 +1,14 @@
-"""Photos read in processes of their own, so that what a broken file does to a decoder stays there.
+"""Photos read while the model works: in threads, and many of them in processes of their own.
 
-Decoders are C code that reads strangers' bytes: it may crash, hang or take all memory. Here it does so in a
-helper, which costs the one photo; the helper is replaced and the rest goes on. A helper is a plain Python
-started afresh (no fork of a process that runs threads, no second run of the caller's script) and ends when its
-pipe does, however its parent ended.
+Decoders are C code that reads strangers' bytes: it may crash, hang or take all memory. In a worker process it does
+so to that process, which costs the one photo; the process is replaced and the rest goes on. It is a plain Python
+started afresh (no fork of a process that runs threads, no second run of the caller's script), it loads what is
+imported here and no torch, and it ends when its pipe does, however its parent ended.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import pickle
 import signal
@@ -16,160 +17,187 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
-from typing import IO, Any, TypeVar
+from types import TracebackType
+from typing import IO, Any, NamedTuple, Self, TypeVar
 
 from salad.errors import PhotoError, SaladError
-from salad.images.decode import Pixels, decode
+from salad.images.decode import Pixels, decode, existing, naming
 from salad.images.photo import Photo, content_hash, read_photo
 
-# --- Reading a photo for somebody else: in this process, or as the whole work of another one ---
-#
-# `salad.images.workers` starts the other ones. They load what is imported here, the reading of photos, and no torch.
-
-
-READY = "ready"
-"""What a helper says first."""
-MEMORY = 6 << 30
-"""Bytes of address space a helper may have: twice what the largest photos need with their decoders' threads."""
-
-
-def look(path: Path) -> tuple[Photo, str]:
-    """A photo as its name and EXIF tell it, and its identity; no pixel is decoded.
-
-    Raises:
-        PhotoError: where it cannot be read.
-    """
-    return read_photo(path), content_hash(path)
-
-
-TASKS: dict[str, Callable[..., Any]] = {"look": look, "decode": decode}
-
-
-class Here:
-    """Reads photos in this process: at once, for few of them, and trusting the decoders."""
-
-    def look(self, path: Path) -> tuple[Photo, str]:
-        """As the function `look`."""
-        return look(path)
-
-    def decode(self, path: Path, height: int, width: int, resample: str) -> Pixels:
-        """As the function `decode`."""
-        return decode(path, height, width, resample)
-
-    def close(self) -> None:
-        """There is nothing to let go of."""
-
-
-def main() -> None:
-    """What a helper runs: it answers until its pipe ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is its parent's business
-    _limit_memory(MEMORY)
-    with os.fdopen(os.dup(1), "wb") as replies, Path(os.devnull).open("wb") as nothing:
-        os.dup2(nothing.fileno(), 1)  # whatever a decoder prints must not get into an answer
-        serve(sys.stdin.buffer, replies)
-
-
-def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
-    """Answer one request after another, until there are no more or nobody reads the answers."""
-    with suppress(EOFError, BrokenPipeError):
-        put(READY, replies)
-        while True:
-            put(done(pickle.load(requests)), replies)
-
-
-def done(request: tuple[Any, ...]) -> Any:
-    """What a task of `TASKS` gives for its arguments, or the SaladError it raises."""
-    task, *rest = request
-    try:
-        return TASKS[task](*rest)
-    except SaladError as error:
-        return error
-
-
-def put(value: Any, stream: IO[bytes]) -> None:
-    """Send a value at once."""
-    pickle.dump(value, stream, protocol=5)
-    stream.flush()
-
-
-def _limit_memory(size: int) -> None:
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
-    with suppress(OSError, ValueError):
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        within = size if hard == resource.RLIM_INFINITY else min(size, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (within, hard))
-
-
+FEW = 32
+"""Fewer photos are read in this process: others would take longer to start."""
 SECONDS = 60.0
 """How long a photo may take; the largest ones take about 20."""
+MEMORY = 6 << 30
+"""Bytes of address space a worker process may have: twice what the largest photos need with their decoders' threads."""
+READY = "ready"
+"""What a worker process says first."""
+
+_LARGEST = 2 << 30  # bytes that the largest photo takes while it is decoded
+_HELD = 256 << 20  # bytes of a file that are held in memory, to be gone through several times
 _STARTER = "from salad.images.workers import main; main()"
 
-Process = subprocess.Popen[bytes]
+Size = tuple[int, int, str]
+"""Height and width in pixels, and the resampling, as `decode` takes them."""
+Popen = subprocess.Popen[bytes]
+T = TypeVar("T")
+R = TypeVar("R")
 
 
-class Helpers(Here):
-    """Reads photos in helpers, for as many threads at a time as there are helpers; others wait their turn.
+# --- what is done with a photo -------------------------------------------------------------
 
-    Args:
-        count: how many processes; each is started when it is first needed.
-        seconds: how long a photo may take before it is given up.
+
+class PhotoRead(NamedTuple):
+    """What one trip to a photo brings home, all of it from the same bytes.
+
+    Attributes:
+        photo: The photo as its name and EXIF tell it.
+        content_hash: Which photo it is.
+        pixels: uint8 `[height, width, 3]`; None where no size was asked for, and where they cannot be decoded.
+        trouble: Why they cannot be decoded: a sentence, empty where they can.
     """
 
-    def __init__(self, count: int, *, seconds: float = SECONDS) -> None:
-        self._all = [_Helper(seconds) for _ in range(count)]
-        self._free: SimpleQueue[_Helper] = SimpleQueue()
-        for helper in self._all:
-            self._free.put(helper)
+    photo: Photo
+    content_hash: str
+    pixels: Pixels | None = None
+    trouble: str = ""
 
-    def look(self, path: Path) -> tuple[Photo, str]:
-        """As `reading.look`.
+
+def read(path: Path, size: Size | None = None) -> PhotoRead:
+    """Everything about a photo; its file is opened and read once.
+
+    Args:
+        path: The file.
+        size: To what its pixels are squeezed; where not given, they are not decoded.
+
+    Raises:
+        PhotoError: If the file cannot be read.
+    """
+    path = existing(path)
+    with naming(path), path.open("rb") as opened:
+        # In memory, so that what is hashed is what is decoded, whoever may be writing the file meanwhile. Scans of
+        # gigabytes are read twice instead, and so is the head of a photo whose pixels nobody wants.
+        small = size is not None and os.fstat(opened.fileno()).st_size <= _HELD
+        file: IO[bytes] = io.BytesIO(opened.read()) if small else opened
+        known = PhotoRead(read_photo(path, file=file), content_hash(path, file=file))
+        if size is None:
+            return known
+        try:
+            return known._replace(pixels=decode(path, *size, file=file))
+        except PhotoError as error:  # an index may hold it all the same, described where it could be decoded
+            return known._replace(trouble=str(error))
+
+
+TASKS: dict[str, Callable[..., Any]] = {"read": read, "decode": decode}
+"""What a worker can be asked for by name; the first argument is the photo's path."""
+
+
+class Workers:
+    """Reads photos for the model: in as many threads as the machine can bear, each with a process of its own.
+
+    Use it as a context manager; on an error or an interrupt what has not begun is dropped, and what has is ended.
+
+    Args:
+        photos: How many are to be read; fewer than `FEW` are read in this process, trusting the decoders.
+        at_once: How many are read at a time; as many as there are cores and memory for where not given.
+        seconds: How long a photo may take in a process before it is given up.
+    """
+
+    def __init__(self, photos: int, *, at_once: int | None = None, seconds: float = SECONDS) -> None:
+        at_once = at_once or photos_at_once()
+        self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="salad-photos")
+        self._processes = [] if photos < FEW else [_Process(seconds) for _ in range(at_once)]
+        self._free: SimpleQueue[_Process] = SimpleQueue()
+        for process in self._processes:
+            self._free.put(process)
+
+    def read(self, path: Path, size: Size | None = None) -> PhotoRead:
+        """As the function `read`, in a process where there are any; whoever finds none free waits.
 
         Raises:
-            PhotoError: also where the photo crashed two helpers, or took too long.
+            PhotoError: If the file cannot be read, crashed two processes or took too long.
         """
-        photo, content = self._ask("look", path)
-        return photo, content
+        found: PhotoRead = self.ask("read", path, size)
+        return found
 
     def decode(self, path: Path, height: int, width: int, resample: str) -> Pixels:
-        """As `reading.decode`.
+        """As `salad.images.decode.decode`, in a process where there are any.
 
         Raises:
-            PhotoError: also where the photo crashed two helpers, or took too long.
+            PhotoError: If the file cannot be read, crashed two processes or took too long.
         """
-        pixels: Pixels = self._ask("decode", path, height, width, resample)
+        pixels: Pixels = self.ask("decode", path, height, width, resample)
         return pixels
 
-    def close(self) -> None:
-        """End the helpers at once, whatever they are doing."""
-        for helper in self._all:
-            helper.close()
+    def ask(self, task: str, path: Path, *rest: Any) -> Any:
+        """What a task of `TASKS` gives for a photo.
 
-    def _ask(self, *request: Any) -> Any:
-        helper = self._free.get()
+        Raises:
+            PhotoError: If the photo cannot be read, crashed two processes or took too long.
+        """
+        if not self._processes:
+            return TASKS[task](path, *rest)
+        process = self._free.get()
         try:
-            return helper.ask(*request)
+            return process.ask(task, path, *rest)
         finally:
-            self._free.put(helper)
+            self._free.put(process)
+
+    def submit(self, work: Callable[..., R], *arguments: Any) -> Future[R]:
+        """Have a thread do this work."""
+        return self._threads.submit(work, *arguments)
+
+    def in_order(self, work: Callable[[T], R], items: Iterable[T], *, ahead: int) -> Iterator[R]:
+        """`map` by threads that keeps the order and never has more than `ahead` items on their way."""
+        source = iter(items)
+        waiting: deque[Future[R]] = deque()
+        while True:
+            waiting.extend(self.submit(work, item) for item in islice(source, ahead - len(waiting)))
+            if not waiting:
+                return
+            yield waiting.popleft().result()
+
+    def close(self) -> None:
+        """End the processes at once, whatever they are doing, and the threads after them."""
+        for process in self._processes:
+            process.close()
+        self._threads.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def photos_at_once() -> int:
+    """How many photos are read at a time: one a core, and each with memory for the largest photo there is."""
+    count = min(8, os.cpu_count() or 1)
+    with suppress(AttributeError, OSError, ValueError):  # no such call, or no such number, on this system
+        count = min(count, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // _LARGEST)
+    return max(1, count)
+
+
+# --- a worker process, as its parent sees it -----------------------------------------------
 
 
 class _DiedError(Exception):
-    """A helper ended in the middle of a photo; the message says how."""
+    """A process ended in the middle of a photo; the message says how."""
 
 
-class _Helper:
+class _Process:
     """One process, asked by one thread at a time; started when needed, and again after it died."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
-        self._process: Process | None = None
+        self._process: Popen | None = None
         self._starting = threading.Lock()  # `close` may come from another thread
         self._closed = self._alone = False
         self._late = threading.Event()
@@ -196,23 +224,26 @@ class _Helper:
             if self._process is not None:
                 _end(self._process)
 
-    def _answer(self, *request: Any) -> Any:
+    def _answer(self, task: str, path: Path, *rest: Any) -> Any:
         process = self._running()
         if process is None:
-            return done(request)
+            return answer((task, path, *rest))
+        assert process.stdin is not None
+        assert process.stdout is not None
         self._late.clear()
         timer = threading.Timer(self._seconds, self._give_up, [process])
         timer.daemon = True
         timer.start()
         try:
-            return _exchange(process, request)
+            send((task, path, *rest), process.stdin)
+            return pickle.load(process.stdout)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
-            raise self._told(process, request[1]) from error
+            raise self._failed(process, path) from error
         finally:
             timer.cancel()
             timer.join()
 
-    def _running(self) -> Process | None:
+    def _running(self) -> Popen | None:
         """The process, started where it does not run; None where none can be started on this system."""
         with self._starting:
             if self._closed:
@@ -221,11 +252,11 @@ class _Helper:
                 _end(self._process)
                 self._process = None
             if self._process is None and not self._alone:
-                self._process = _started()
+                self._process = _start()
                 self._alone = self._process is None
             return self._process
 
-    def _told(self, process: Process, path: Path) -> Exception:
+    def _failed(self, process: Popen, path: Path) -> Exception:
         """What to say of a process whose answer did not come."""
         with suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
@@ -237,21 +268,24 @@ class _Helper:
             return PhotoError(f"{path} took over {self._seconds:g} s to read: save it anew or leave it out")
         return _DiedError(cause)
 
-    def _give_up(self, process: Process) -> None:
+    def _give_up(self, process: Popen) -> None:
         self._late.set()
         process.kill()
 
 
-def _started() -> Process | None:
-    """A helper that said it is ready, or None."""
-    process: Process | None = None
+def _start() -> Popen | None:
+    """A process that said it is ready, or None."""
+    process: Popen | None = None
+    # The folders we import from, which a script may have added to; and one thread for numpy, which has little to do.
+    folders = os.pathsep.join(folder for folder in sys.path if folder)
+    settings = {"PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
         process = subprocess.Popen(
             [sys.executable, "-P", "-c", _STARTER],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env=_environment(),
+            env={**os.environ, **settings},
             start_new_session=True,  # Ctrl-C goes to every process of a session
         )
         if process.stdout is not None and pickle.load(process.stdout) == READY:
@@ -263,20 +297,7 @@ def _started() -> Process | None:
     return None
 
 
-def _environment() -> dict[str, str]:
-    """Our own, with the folders we import from, and one thread for numpy, which has little to do there."""
-    folders = os.pathsep.join(folder for folder in sys.path if folder)
-    return {**os.environ, "PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-
-
-def _exchange(process: Process, request: tuple[Any, ...]) -> Any:
-    assert process.stdin is not None
-    assert process.stdout is not None
-    put(request, process.stdin)
-    return pickle.load(process.stdout)
-
-
-def _end(process: Process) -> None:
+def _end(process: Popen) -> None:
     """Kill it where it runs still, and leave nothing of it behind."""
     process.kill()
     process.wait()
@@ -294,51 +315,43 @@ def _cause(code: int | None) -> str:
     return f"signal {-code}"
 
 
-# --- The hands that read photos while the model works: threads, each with a helper process where there are many ---
+# --- a worker process, seen from inside ----------------------------------------------------
 
 
-T = TypeVar("T")
-R = TypeVar("R")
+def main() -> None:
+    """What a worker process runs: it answers until its pipe ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is its parent's business
+    limit_memory(MEMORY)
+    with os.fdopen(os.dup(1), "wb") as replies, Path(os.devnull).open("wb") as nothing:
+        os.dup2(nothing.fileno(), 1)  # whatever a decoder prints must not get into an answer
+        with suppress(EOFError, BrokenPipeError):
+            send(READY, replies)
+            while True:
+                send(answer(pickle.load(sys.stdin.buffer)), replies)
 
-FEW = 32
-"""Fewer photos are read in threads: helpers would take longer to start."""
-_LARGEST = 2 << 30  # bytes that the largest photo takes while it is decoded
 
-
-@contextmanager
-def workers() -> Iterator[Executor]:
-    """Threads for reading photos; on an error or an interrupt what they have not begun is dropped."""
-    pool = ThreadPoolExecutor(_hands(), thread_name_prefix="salad-photos")
+def answer(request: tuple[Any, ...]) -> Any:
+    """What a task of `TASKS` gives for its arguments, or the SaladError it raises."""
+    task, *arguments = request
     try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
+        return TASKS[task](*arguments)
+    except SaladError as error:
+        return error
 
 
-@contextmanager
-def reader_for(photos: int) -> Iterator[Here]:
-    """What reads that many photos for the threads: helpers, unless there are few."""
-    reader = Here() if photos < FEW else Helpers(_hands())
+def send(value: Any, stream: IO[bytes]) -> None:
+    """Put a value into a pipe, at once."""
+    pickle.dump(value, stream, protocol=5)
+    stream.flush()
+
+
+def limit_memory(size: int) -> None:
+    """Let this process have no more address space than that many bytes, where the system can see to it."""
     try:
-        yield reader
-    finally:
-        reader.close()
-
-
-def _hands() -> int:
-    """How many photos are read at a time: one a core, and each with memory for the largest photo there is."""
-    hands = min(8, os.cpu_count() or 1)
-    with suppress(AttributeError, OSError, ValueError):  # no such call, or no such number, on this system
-        hands = min(hands, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // _LARGEST)
-    return max(1, hands)
-
-
-def in_order(pool: Executor, work: Callable[[T], R], items: Iterable[T], *, ahead: int) -> Iterator[R]:
-    """`map` over `pool` that keeps the order and never has more than `ahead` items in hand."""
-    source = iter(items)
-    waiting: deque[Future[R]] = deque()
-    while True:
-        waiting.extend(pool.submit(work, item) for item in islice(source, ahead - len(waiting)))
-        if not waiting:
-            return
-        yield waiting.popleft().result()
+        import resource
+    except ImportError:  # not on Windows
+        return
+    with suppress(OSError, ValueError):
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        within = size if hard == resource.RLIM_INFINITY else min(size, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (within, hard))

@@ -1,15 +1,22 @@
 """From photos to an index: known ones are skipped, unreadable ones named, the rest described and added.
 
-Helpers hash and decode photos while the model describes the batch before; only a few batches are in memory at
-any time. Every few batches are committed, and so is what is described when an interrupt comes, so that it loses
-little and the next run goes on where this one stopped.
+Workers read photos while the model describes the batch before; only a few batches are in memory at any time. A
+photo at a path that the index does not know is hashed and decoded in one trip, from the same bytes; one at a path
+that it knows is most likely the same still: it is hashed, its EXIF read, and nothing decoded. That is a guess. What
+decides is what the index says of a batch's contents before it is described, and, since others may write to it too,
+once more inside the commit.
+
+Every few batches are committed, and so is what is described when an interrupt comes, so that it loses little and the
+next run goes on where this one stopped.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,17 +27,16 @@ import numpy.typing as npt
 from salad.errors import SaladError
 from salad.images.decode import Pixels
 from salad.images.photo import Photo, PhotoTable, content_hash, placed
-from salad.images.workers import Here, in_order, reader_for, workers
+from salad.images.workers import Size, Workers
 from salad.index.index import Index
+from salad.index.index_folder import resolved
 
 if TYPE_CHECKING:
     from salad.models.describer import Describes
-    from salad.network.config import Preprocessing
-
-__all__ = ["Indexed", "Pixels", "in_order", "index_photos", "workers"]
 
 COMMIT_BATCHES = 8  # batches between commits: what a loss of power can cost
 _STALE = 1000  # photos to bring up to date in one commit
+_PAGE = 1000  # paths the index is asked about at once
 
 
 @dataclass(slots=True)
@@ -54,18 +60,21 @@ class Indexed:
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """A photo on its way in; `pixels` `[height, width, 3]` come later, `trouble` where it cannot be read."""
+    """A photo on its way in.
+
+    Attributes:
+        path: Its file.
+        photo: What is known of it; no more than its path where its file cannot be read.
+        content_hash: Which photo it is; empty where its file cannot be read.
+        pixels: `[height, width, 3]`, where they were decoded.
+        trouble: Why it cannot be read, if so: a sentence.
+    """
 
     path: Path
-    photo: Photo | None = None
-    content: str = ""
+    photo: Photo
+    content_hash: str = ""
     pixels: Pixels | None = None
     trouble: str = ""
-
-    @property
-    def known(self) -> Photo:
-        """The photo with its position and time, where it could be looked at."""
-        return self.photo or Photo(self.path)
 
 
 def index_photos(
@@ -79,7 +88,7 @@ def index_photos(
 ) -> Indexed:
     """Describe photos and add them to an index.
 
-    A photo is known by its content: one the index holds is not decoded again, its path and position are
+    A photo is known by its content: one the index holds is not described again, its path and position are
     brought up to date if the file moved, and a copy of a photo that is still in its place is skipped and
     named.
 
@@ -96,13 +105,34 @@ def index_photos(
         StoreError: If the index cannot be written; what was committed before stays.
     """
     index.check_model(model)
-    run, to = _Run(index, model, len(sources), progress), model.preprocessing
-    with workers() as pool, reader_for(len(sources)) as reader:
-        looked = in_order(pool, lambda path: _look(reader, path, table), sources, ahead=4 * batch_size)
-        unknown = run.unknown(looked)
-        ready = in_order(pool, lambda item: _decode(reader, item, to), unknown, ahead=2 * batch_size)
-        run.take_in(ready, batch_size)
+    run = _Run(index, model, len(sources), progress)
+    to = model.preprocessing
+    with Workers(len(sources)) as workers:
+        read = partial(_read, workers, table, (to.height, to.width, to.resample))
+        items = workers.in_order(read, _with_guess(sources, index), ahead=2 * batch_size)
+        run.take_in(
+            run.unknown(items, lambda path: workers.submit(read, (path, False)), batch_size), batch_size
+        )
     return run.result
+
+
+def _with_guess(sources: Sequence[Path], index: Index) -> Iterator[tuple[Path, bool]]:
+    """Each path, and whether the index holds a photo there."""
+    for low in range(0, len(sources), _PAGE):
+        page = sources[low : low + _PAGE]
+        places = resolved(page)
+        held = index.taken(places)
+        yield from ((path, place in held) for path, place in zip(page, places, strict=True))
+
+
+def _read(workers: Workers, table: PhotoTable | None, size: Size, source: tuple[Path, bool]) -> _Item:
+    """One trip to a photo; its pixels are decoded where it is not guessed to be known."""
+    path, guessed_known = source
+    try:
+        found = workers.read(path, None if guessed_known else size)
+    except SaladError as error:
+        return _Item(path, Photo(path), trouble=str(error))
+    return _Item(path, placed(found.photo, table), found.content_hash, found.pixels, found.trouble)
 
 
 class _Run:
@@ -117,22 +147,44 @@ class _Run:
         self._described: list[tuple[_Item, npt.NDArray[np.float32]]] = []
         self._done = 0
 
-    def unknown(self, looked: Iterable[_Item]) -> Iterator[_Item]:
-        """Pass on the photos whose content the index does not hold, settle the others."""
-        for item in looked:
-            if item.trouble:
-                self._give_up(item)
-            elif found := self._index.find([item.content]):
-                self._skip(item, found[item.content])
-                self._count(1)
-            else:
-                yield item
+    def unknown(
+        self, items: Iterator[_Item], decode: Callable[[Path], Future[_Item]], batch_size: int
+    ) -> Iterator[_Item]:
+        """Pass on the photos whose content the index does not hold, decoded; settle the others.
 
-    def take_in(self, ready: Iterator[_Item], batch_size: int) -> None:
+        Args:
+            items: Photos as they were read.
+            decode: Begins a second trip to a photo.
+            batch_size: Photos the index is asked about at once.
+        """
+        while batch := list(islice(items, batch_size)):
+            held = self._index.find([item.content_hash for item in batch if item.content_hash])
+            news = [item for item in batch if item.content_hash not in held]
+            # A wrong guess: the file was replaced, or somebody has removed its photo from the index meanwhile.
+            again = {
+                item.path: decode(item.path) for item in news if item.pixels is None and not item.trouble
+            }
+            for number, item in enumerate(batch):
+                if item.path in again:
+                    batch[number] = item = again[item.path].result()
+                if item.content_hash in held:
+                    self._skip(item, held[item.content_hash])
+                    self.result.skipped += 1
+                    self._count(1)
+                elif item.trouble:
+                    self.result.unreadable.append(item.trouble)
+                    self._count(1)
+                else:
+                    yield item
+
+    def take_in(self, items: Iterator[_Item], batch_size: int) -> None:
         """Describe what was decoded, batch by batch, and commit it, also where an interrupt comes between."""
         try:
-            while batch := list(islice(ready, batch_size)):
-                self._describe(batch)
+            while batch := list(islice(items, batch_size)):
+                pixels = [item.pixels for item in batch if item.pixels is not None]
+                rows = self._model.describe(pixels, batch_size=len(batch))
+                self._described += zip((replace(item, pixels=None) for item in batch), rows, strict=True)
+                self._count(len(batch))
                 if len(self._described) >= COMMIT_BATCHES * batch_size:
                     self._commit()
         except SaladError:  # nothing that another try would mend
@@ -142,85 +194,50 @@ class _Run:
             raise
         self._commit()
 
-    def _describe(self, batch: Sequence[_Item]) -> None:
-        for item in batch:
-            if item.pixels is None:
-                self._give_up(item)
-        good = [item for item in batch if item.pixels is not None]
-        if good:
-            pixels = [item.pixels for item in good if item.pixels is not None]
-            rows = self._model.describe(pixels, batch_size=len(good))
-            slim = (replace(item, pixels=None) for item in good)
-            self._described += zip(slim, rows, strict=True)
-            self._count(len(good))
-
     def _commit(self) -> None:
-        """Add what is described; copies among it are kept once."""
+        """Add what is described; of copies among it, and of what somebody else has added meanwhile, one is kept."""
         self._bring_up_to_date()  # first: a photo that moved away must not be taken for one that was replaced
-        first: dict[str, int] = {}
-        for number, (item, _) in enumerate(self._described):
-            first.setdefault(item.content, number)
-        # What was committed since we looked is there already: a copy among the photos before.
-        before = self._index.find(list(first))
-        fresh = [number for content, number in first.items() if content not in before]
-        if fresh:
-            self._add([self._described[number] for number in fresh])
-        described, self._described = self._described, []
-        held = self._index.find(list(first))
-        for number in sorted(set(range(len(described))) - set(fresh)):
-            item, _ = described[number]
-            self._skip(item, held.get(item.content, item.known))
-        self._bring_up_to_date()
-
-    def _add(self, described: Sequence[tuple[_Item, npt.NDArray[np.float32]]]) -> None:
-        items = [item for item, _ in described]
-        rows = np.stack([row for _, row in described])
-        contents = [item.content for item in items]
-        self.result.added += self._index.add([item.known for item in items], rows, identities=contents)
+        if not self._described:
+            return
+        items = [item for item, _ in self._described]
+        hashes = [item.content_hash for item in items]
+        rows = np.stack([row for _, row in self._described])
+        added = self._index.add([item.photo for item in items], rows, identities=hashes, update_known=False)
+        self._described = []
+        self.result.added += added
+        self.result.skipped += len(items) - added
+        if added < len(items):
+            held = self._index.find(hashes)
+            for item in items:
+                if item.content_hash in held:
+                    self._skip(item, held[item.content_hash])
+            self._bring_up_to_date()
 
     def _bring_up_to_date(self) -> None:
         """Commit new paths and positions of photos the index held already."""
         if self._stale:
-            self._index.update([item.known for item in self._stale], [item.content for item in self._stale])
+            self._index.update(
+                [item.photo for item in self._stale], [item.content_hash for item in self._stale]
+            )
             self._stale.clear()
 
     def _skip(self, item: _Item, held: Photo) -> None:
-        self.result.skipped += 1
+        """Note what is new of a photo that the index holds: nothing, where it is the one it holds."""
         path = Path(os.path.realpath(item.path))
-        if path != held.path and _in_place(held.path, item.content):
+        if path != held.path and _in_place(held.path, item.content_hash):
             self.result.twins.append(
                 f"{item.path} is a copy of {held.path}, which is in the index: it was skipped"
             )
-        elif path != held.path or _tells_more(item.known, held):
+        elif path != held.path or _tells_more(item.photo, held):
             self.result.moved += path != held.path
             self._stale.append(item)
             if len(self._stale) >= _STALE:
                 self._bring_up_to_date()
 
-    def _give_up(self, item: _Item) -> None:
-        self.result.unreadable.append(item.trouble)
-        self._count(1)
-
     def _count(self, photos: int) -> None:
         self._done += photos
         if self._progress is not None:
             self._progress(self._done, self._total)
-
-
-def _look(reader: Here, path: Path, table: PhotoTable | None) -> _Item:
-    """What is known of a photo without decoding it."""
-    try:
-        photo, content = reader.look(path)
-    except SaladError as error:
-        return _Item(path, trouble=str(error))
-    return _Item(path, placed(photo, table), content)
-
-
-def _decode(reader: Here, item: _Item, to: Preprocessing) -> _Item:
-    try:
-        return replace(item, pixels=reader.decode(item.path, to.height, to.width, to.resample))
-    except SaladError as error:
-        return replace(item, trouble=str(error))
 
 
 def _in_place(path: Path, content: str) -> bool:

@@ -144,7 +144,12 @@ class Index:
             return self._catalog.count()
 
     def add(
-        self, photos: Sequence[Photo], descriptors: Floats, *, identities: Sequence[str] | None = None
+        self,
+        photos: Sequence[Photo],
+        descriptors: Floats,
+        *,
+        identities: Sequence[str] | None = None,
+        update_known: bool = True,
     ) -> int:
         """Take in photos; all of them or, on an error, none.
 
@@ -156,6 +161,7 @@ class Index:
             photos: The photos; paths are stored absolute, links resolved.
             descriptors: `[N, dim]`, rows of length 1; stored as float16.
             identities: Content hash of each photo; read from the files where not given.
+            update_known: Whether contents the index already holds take their new path, or stay as they are.
 
         Returns:
             How many were new.
@@ -186,7 +192,8 @@ class Index:
                 self._catalog.insert(new, names, sums(chosen), row=last.rows)
             # All others, those that come a second time in this call too: what they know of a photo is added to it.
             again = [number for number, content in enumerate(contents) if first.get(content) != number]
-            self._catalog.update([placed[n] for n in again], [contents[n] for n in again])
+            if update_known:
+                self._catalog.update([placed[n] for n in again], [contents[n] for n in again])
             # Photos from before this call whose file holds another content now; below: not those just written.
             self._catalog.retire([photo.path for photo in placed], contents, below=last.rows)
             self._catalog.commit_rows(last.rows + len(fresh))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from salad.errors import PhotoError
 from salad.images.decode import Pixels
-from salad.images.workers import Here, in_order, reader_for, workers
+from salad.images.workers import Workers
 from salad.localize.voting import GENERIC, RADIUS_M, Place, Voting, vote
 from salad.network.config import Calibration
 
@@ -170,9 +170,9 @@ def locate_many(
     calibration = calibration_of(model)
     limit = calibration.min_confidence if min_confidence is None else min_confidence
     to = model.preprocessing
-    with workers() as pool, reader_for(len(queries)) as reader:
+    with Workers(len(queries)) as workers:
         # Two batches are decoded ahead, so that the model never waits for photos, and no more, so that memory is small.
-        decoded = in_order(pool, lambda path: _decoded(reader, path, to), queries, ahead=2 * batch_size)
+        decoded = workers.in_order(lambda path: _decoded(workers, path, to), queries, ahead=2 * batch_size)
         readable = _readable(decoded, on_unreadable)
         while batch := list(islice(readable, batch_size)):
             descriptors = model.describe([pixels for _, pixels in batch], batch_size=batch_size)
@@ -188,9 +188,9 @@ def locate_many(
 # A photo that cannot be read must not end the pass over all others: so its error comes along in its place.
 
 
-def _decoded(reader: Here, path: Path, to: Preprocessing) -> tuple[Path, Pixels | PhotoError]:
+def _decoded(workers: Workers, path: Path, to: Preprocessing) -> tuple[Path, Pixels | PhotoError]:
     try:
-        return path, reader.decode(path, to.height, to.width, to.resample)
+        return path, workers.decode(path, to.height, to.width, to.resample)
     except PhotoError as error:
         return path, error
 
