@@ -26,6 +26,7 @@ LEGEND = (
 NOTHING = "there is no figure yet"
 MOST_STEPS = 4  # on an axis
 
+# Colours follow the reader's setting: the file stands in pages of either kind, as an <img> that no page can style.
 STYLE = """
   .paper { fill: #fffefb } .ink { fill: #23272b } .soft { fill: #5c6063 }
   .hair { stroke: #dedacf } .ours { fill: #0b7480; stroke: #0b7480 } .theirs { fill: none; stroke: #a8431f }
@@ -78,6 +79,7 @@ class _ChartPanel:
         """From a round number below every bar's end to one above, within 0 and 100."""
         ends = [end for mark in self.marks if mark for end in mark.bar]
         step = _round_step(max(ends) - min(ends))
+        # An axis from 0 to 100 would hide what sets rows apart, so each panel has its own, and the legend says so.
         low = max(0.0, step * math.floor(min(ends) / step))
         high = min(100.0, step * math.ceil(max(ends) / step))
         # all bars may end on one round number
@@ -96,6 +98,39 @@ class _ChartPanel:
         low, high = self.axis
         return PLOT_WIDTH * (min(max(percent, low), high) - low) / (high - low)
 
+    def svg(self, left: float, top: float) -> list[str]:
+        """Title, axis and marks, with the plot's upper left corner at these pixels."""
+        bottom = top + LINE_HEIGHT * len(self.marks)
+        parts = [f'<text class="ink" x="{left}" y="{top - 14}" font-weight="600">{escape(self.title)}</text>']
+        for tick in self.ticks:
+            x = left + self.x(tick)
+            parts.append(f'<path class="hair" d="M{x:.1f} {top}V{bottom}"/>')
+            parts.append(
+                f'<text class="soft" x="{x:.1f}" y="{bottom + 17}" text-anchor="middle">{tick:g}</text>'
+            )
+        for number, mark in enumerate(self.marks):
+            if mark:
+                parts += self._mark_svg(mark, left, _middle(top, number))
+        return parts
+
+    def _mark_svg(self, mark: _ChartMark, left: float, y: float) -> list[str]:
+        """A disc or a ring, the bar of its deviation, and a tooltip."""
+        x, tooltip, parts = left + self.x(mark.figure.mean), f"{mark.name}: {mark.figure}", []
+        if mark.figure.deviation is not None:  # neither one seed alone nor a published figure has a bar
+            tooltip += f", {mark.figure.seeds} seeds"
+            begin, end = (left + self.x(percent) for percent in mark.bar)
+            caps = "".join(f"M{at:.1f} {y - 4:g}V{y + 4:g}" for at in (begin, end))
+            parts.append(f'<path class="ours" stroke-width="1.6" d="M{begin:.1f} {y:g}H{end:.1f}{caps}"/>')
+        if mark.caveat:
+            tooltip += f", {mark.caveat}"
+            parts.append(f'<text class="soft" x="{x + 8:.1f}" y="{y + 4:g}">*</text>')
+        kind, radius = "ours" if self.ours else "theirs", 6.5 if mark.leads else 4.2
+        parts.append(
+            f'<circle class="{kind}" stroke-width="1.8" cx="{x:.1f}" cy="{y:g}" r="{radius}">'
+            f"<title>{escape(tooltip)}</title></circle>"
+        )
+        return parts
+
 
 def comparison_chart(lines: Sequence[ModelLine], title: str) -> str:
     """R@1 of every line in every column, ours as discs with bars, the published as rings, as one SVG.
@@ -108,6 +143,7 @@ def comparison_chart(lines: Sequence[ModelLine], title: str) -> str:
         A whole file; with no figure to show, a picture that says so.
     """
     panels = _panels(lines)
+    # The paper's panels begin a row of their own, so that nobody reads its figures as ours.
     rows = [
         side[start : start + PANELS_A_ROW]
         for side in ([panel for panel in panels if panel.ours], [panel for panel in panels if not panel.ours])
@@ -133,7 +169,7 @@ def comparison_chart(lines: Sequence[ModelLine], title: str) -> str:
             for place, line in enumerate(lines)
         ]
         for place, panel in enumerate(row):
-            parts += _drawn_panel(panel, MARGIN + NAMES_WIDTH + place * (PLOT_WIDTH + GAP), top)
+            parts += panel.svg(MARGIN + NAMES_WIDTH + place * (PLOT_WIDTH + GAP), top)
     return "\n".join([*parts, "</svg>", ""])
 
 
@@ -157,39 +193,6 @@ def _panels(lines: Sequence[ModelLine]) -> list[_ChartPanel]:
     return [panel for panel in panels if any(panel.marks)]  # a column may have no R@1
 
 
-def _drawn_panel(panel: _ChartPanel, left: float, top: float) -> list[str]:
-    """Title, axis and marks of a panel whose plot has its corner at `left`, `top`."""
-    bottom = top + LINE_HEIGHT * len(panel.marks)
-    parts = [f'<text class="ink" x="{left}" y="{top - 14}" font-weight="600">{escape(panel.title)}</text>']
-    for tick in panel.ticks:
-        x = left + panel.x(tick)
-        parts.append(f'<path class="hair" d="M{x:.1f} {top}V{bottom}"/>')
-        parts.append(f'<text class="soft" x="{x:.1f}" y="{bottom + 17}" text-anchor="middle">{tick:g}</text>')
-    for number, mark in enumerate(panel.marks):
-        if mark:
-            parts += _drawn_mark(panel, mark, left, _middle(top, number))
-    return parts
-
-
-def _drawn_mark(panel: _ChartPanel, mark: _ChartMark, left: float, y: float) -> list[str]:
-    """A disc or a ring, the bar of its deviation, and a tooltip."""
-    x, tooltip, parts = left + panel.x(mark.figure.mean), f"{mark.name}: {mark.figure}", []
-    if mark.figure.deviation is not None:
-        tooltip += f", {mark.figure.seeds} seeds"
-        begin, end = (left + panel.x(percent) for percent in mark.bar)
-        caps = "".join(f"M{at:.1f} {y - 4:g}V{y + 4:g}" for at in (begin, end))
-        parts.append(f'<path class="ours" stroke-width="1.6" d="M{begin:.1f} {y:g}H{end:.1f}{caps}"/>')
-    if mark.caveat:
-        tooltip += f", {mark.caveat}"
-        parts.append(f'<text class="soft" x="{x + 8:.1f}" y="{y + 4:g}">*</text>')
-    kind, radius = "ours" if panel.ours else "theirs", 6.5 if mark.leads else 4.2
-    parts.append(
-        f'<circle class="{kind}" stroke-width="1.8" cx="{x:.1f}" cy="{y:g}" r="{radius}">'
-        f"<title>{escape(tooltip)}</title></circle>"
-    )
-    return parts
-
-
 def _middle(top: float, line: int) -> float:
     """The height of a line's middle."""
     return top + LINE_HEIGHT * (line + 0.5)
@@ -197,6 +200,6 @@ def _middle(top: float, line: int) -> float:
 
 def _round_step(reach: float) -> float:
     """A round step, of 0.5 at least, that cuts `reach` into a few: 1, 2 or 5 times a power of ten."""
-    rough = max(reach, 1.0) / MOST_STEPS
+    rough = max(reach, 1.0) / MOST_STEPS  # figures within a point of one another are not drawn far apart
     power = 10.0 ** math.floor(math.log10(rough))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)

@@ -44,6 +44,7 @@ class MeanOverSeeds:
     @classmethod
     def of(cls, figures: Sequence[float]) -> Self:
         """From one figure a seed."""
+        # Divided by n - 1: few seeds stand for all that might have been drawn.
         deviation = statistics.stdev(figures) if len(figures) > 1 else None
         return cls(statistics.fmean(figures), deviation, len(figures))
 
@@ -120,8 +121,9 @@ def published_protocols(lines: Sequence[ModelLine]) -> list[str]:
 def leader(lines: Sequence[ModelLine], column: BenchmarkColumn) -> ModelLine | None:
     """The line whose R@1 leads all others in a column by more than the deviation; None where none does."""
     measured = [(found, line) for line in lines if (found := line.recall(column))]
-    if len(measured) < 2:
+    if len(measured) < 2:  # nobody is led
         return None
+    # Two that are equally good are within any spread of one another, so it does not matter which of them is first.
     best, first = max(measured, key=lambda pair: pair[0].mean)
     for other, line in measured:
         deviation = best.deviation_of_difference(other)
@@ -136,6 +138,7 @@ def published_order(lines: Sequence[ModelLine]) -> Iterator[tuple[ModelLine, Mod
     Where they agree on none, because protocols contradict each other or both are equal, there is no order to keep.
     """
     for one, other in combinations(lines, 2):
+        # Figures with a caveat stand on another backbone, and differ for that reason too.
         differences = [
             mine.percent - theirs.percent
             for protocol, mine in one.published.items()

@@ -26,6 +26,7 @@ from salad.training.recipe import with_defaults
 
 Results = Mapping[str, Sequence[RunResult]]
 EMPTY_CELL = "–"
+# Programs read these, so they stay: `aside` is a figure's caveat.
 CSV_FIELDS = ("source", "model", "set", "protocol", "k", "percent", "deviation", "seeds", "aside")
 
 
@@ -60,14 +61,14 @@ def write_tables(to: Path, grid: str, rows: Sequence[GridRow]) -> str:
     return table
 
 
-# From results to lines: what each model reached, and what is known of it besides.
-
-
 def model_lines(rows: Sequence[GridRow], results: Results, benchmarks: Collection[str]) -> list[ModelLine]:
     """One line for each row that has a result, in the grid's order, with what it reached on these benchmarks."""
     lines = []
     for row in rows:
         runs = results[row.name]
+        if not runs:  # not trained yet
+            continue
+        # Whoever measures a set by another rule than before gets a column of its own: the two are not one figure.
         recalls: dict[BenchmarkColumn, dict[int, list[float]]] = {}
         for run in runs:
             for name, evaluation in run.benchmarks.items():
@@ -75,26 +76,24 @@ def model_lines(rows: Sequence[GridRow], results: Results, benchmarks: Collectio
                     by_k = recalls.setdefault(BenchmarkColumn(name, evaluation["protocol"]), {})
                     for k, percent in evaluation["recall"].items():
                         by_k.setdefault(int(k), []).append(float(percent))
-        if runs:
-            published = {figure.protocol: figure for figure in row.paper}
-            lines.append(ModelLine(row.title, recalls, published, len(runs), _facts(runs)))
+        facts: dict[str, float] = {
+            # The same for every seed.
+            "trained parameters": runs[-1].parameters["trained"],
+            "dimension": runs[-1].dim,
+            # The median: a run that shared its machine with others is an outlier, not a slower model.
+            "ms a photo": statistics.median(run.milliseconds for run in runs),
+        }
+        held_out = [run.held_out["mean"] for run in runs if "mean" in run.held_out]
+        if held_out:
+            facts["precision held out"] = statistics.fmean(held_out)
+        published = {figure.protocol: figure for figure in row.paper}
+        lines.append(ModelLine(row.title, recalls, published, len(runs), facts))
     return lines
-
-
-def _facts(results: Sequence[RunResult]) -> dict[str, float]:
-    """What the table says of a model besides its recall; the median where machines and seeds differ."""
-    last = results[-1]
-    facts: dict[str, float] = {
-        "trained parameters": last.parameters["trained"],
-        "dimension": last.dim,
-        "ms a photo": statistics.median(each.milliseconds for each in results),
-    }
-    held_out = [each.held_out["mean"] for each in results if "mean" in each.held_out]
-    return facts | ({"precision held out": statistics.fmean(held_out)} if held_out else {})
 
 
 def how_to_repeat(runs: Sequence[RunResult]) -> list[str]:
     """What a reader needs to repeat the figures, as sentences."""
+    # Start, photos and data are those of any run: `check_equal_terms` has seen to it.
     first, data = runs[0], runs[0].data
     # A row with nothing to train took no step: the longest recipe is the one that the others were given.
     longest = max(
@@ -131,9 +130,6 @@ def _distinct(sentences: Iterable[str]) -> str:
     return "; ".join(dict.fromkeys(sentences))
 
 
-# From lines to text.
-
-
 def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> str:
     """A table of R@1 with the published figures beside ours, and under it where the order is another.
 
@@ -148,7 +144,7 @@ def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> 
     titles = ["", *map(str, columns), *(f"paper: {protocol}" for protocol in protocols), *facts, "seeds"]
     rows = [titles]
     for line in lines:
-        cells = [line.name.replace("|", "\\|")]
+        cells = [line.name.replace("|", "\\|")]  # it would begin another cell
         for column in columns:
             found = line.recall(column)
             cells.append(
@@ -191,6 +187,7 @@ def order_sentences(lines: Sequence[ModelLine]) -> list[str]:
         compared, pairs = reversed_pairs(lines, column)
         if not compared:
             continue
+        # How surely is told apart: within the spread of the seeds, another order may be chance.
         kept = compared - len(pairs)
         sentence = f"- {column}: of {compared} pairs that the paper puts in an order, {kept} stand in it here"
         certain = [str(pair) for pair in pairs if pair.certain]
@@ -212,7 +209,7 @@ def csv_table(lines: Sequence[ModelLine]) -> str:
     for line in lines:
         known = [_number(line.facts.get(fact), ".0f", ".3f") for fact in facts]
         for column, by_k in line.recalls.items():
-            for k in by_k:
+            for k in by_k:  # all that were measured; the table for people has R@1 alone
                 found = line.recall(column, k)
                 if found:
                     deviation = "" if found.deviation is None else f"{found.deviation:.3f}"

@@ -54,7 +54,9 @@ class GridRow:
     name: str
     title: str
     aggregator: str = "salad"
-    change: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    change: Mapping[str, Any] = field(
+        default_factory=lambda: MappingProxyType({})
+    )  # all rows share it: read only
     blocks: int = PAPERS_BLOCKS
     fewer_tokens: bool = False
     fitted: bool = False
@@ -74,6 +76,7 @@ def _head(clusters: int, cluster_dim: int, **more: int) -> dict[str, int]:
     return {"clusters": clusters, "cluster_dim": cluster_dim, **more}
 
 
+# One backbone under each. Rows of the paper that stand on another backbone take no part in the order.
 _AGGREGATORS = (
     GridRow("salad", "SALAD", paper=_paper(_THREE, 92.2, 76.0, 92.1)),
     GridRow("netvlad", "NetVLAD", "netvlad", paper=_paper(_THREE, 92.4, 71.8, 90.8)),
@@ -93,6 +96,7 @@ _AGGREGATORS = (
         "cosplace", "CosPlace", "cosplace", paper=_paper(_THREE, 87.4, 44.2, 80.1, caveat=OTHER_BACKBONE)
     ),
     GridRow("boq", "BoQ", "boq"),
+    # AnyLoc learns nothing: its vocabulary is fitted to the photos, and the backbone stays as it is.
     GridRow(
         "vlad",
         "VLAD without training",
@@ -103,6 +107,7 @@ _AGGREGATORS = (
     ),
 )
 
+# Beyond four the paper gets worse with every block: is that so on a smaller backbone too?
 _BLOCKS = (
     GridRow("blocks-0", "no block", blocks=0, paper=_paper(_MSLS, 88.5)),
     GridRow("blocks-2", "the last 2", blocks=2, paper=_paper(_MSLS, 92.0)),
@@ -111,6 +116,7 @@ _BLOCKS = (
     GridRow("blocks-all", "all blocks", blocks=ALL_BLOCKS, paper=_paper(_MSLS, 89.2)),
 )
 
+# What each part of SALAD is good for: taken away, exchanged, or met with another number of tokens.
 _PARTS = (
     GridRow("whole", "whole (3 iterations)", paper=_paper(_MSLS, 92.2)),
     GridRow("no-dustbin", "no dustbin", "salad-no-dustbin", paper=_paper(_MSLS, 91.4)),
@@ -129,6 +135,7 @@ _PARTS = (
     GridRow("many-no-dustbin", "128 clusters of 16, no dustbin", "salad-no-dustbin", change=_head(128, 16)),
 )
 
+# Descriptors of 544, 2,112 and 8,448 numbers.
 _SIZES = (
     GridRow(
         "small",

@@ -16,7 +16,10 @@ from salad.errors import ModelError
 from salad.files import write_whole
 from salad.training.recipe import with_defaults
 
-RESULT_FILE, FORMAT = "result.json", 1
+RESULT_FILE, FORMAT = (
+    "result.json",
+    1,
+)  # the number of the format goes up where a reader of before would misread it
 RUN_IDENTITY = ("row", "seed", "preset", "start", "data")
 """What makes a run another run, where it differs."""
 SETTINGS_OF_A_ROW = ("seed", "head_steps", "tune_steps", "tuned_blocks", "size")
@@ -87,6 +90,7 @@ def read_result(folder: Path) -> RunResult | None:
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         version = stored.pop("format")
+        # Fields are not passed over nor made up: a table of half-known runs would say what nobody measured.
         if version == FORMAT and set(stored) == {field.name for field in fields(RunResult)}:
             return RunResult(**stored)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -104,6 +108,7 @@ def read_results(to: Path, rows: Sequence[str]) -> dict[str, list[RunResult]]:
     Raises:
         ModelError: If one of them cannot be read.
     """
+    # What is there counts, not what was asked for: a table may be made while seeds are still being trained.
     found = {row: [read_result(folder) for folder in (to / row).glob("seed*")] for row in rows}
     return {
         # by number: as names, seed10 would stand before seed2
@@ -122,6 +127,7 @@ def equal_terms(result: RunResult) -> dict[str, Any]:
         "data": result.data["digest"],
         "recipe": {name: value for name, value in recipe.items() if name not in SETTINGS_OF_A_ROW},
     }
+    # A head without weights spends the head's steps on the backbone: only their sum is the same.
     steps = recipe["head_steps"] + recipe["tune_steps"]
     return terms | ({"steps": steps} if steps else {})
 

@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
 
 from salad._version import __version__
 from salad.errors import MissingExtraError, ModelError
@@ -71,6 +74,18 @@ def first_process() -> bool:
 def rank_slice(total: int, rank: int, ranks: int) -> slice:
     """Which of `total` things one of several processes takes: none twice, and no process two more than another."""
     return slice(total * rank // ranks, total * (rank + 1) // ranks)
+
+
+def gather_slices(fabric: Any, mine: Float[Tensor, "mine dim"], total: int) -> Float[Tensor, "total dim"]:
+    """Every process's rows in the order of the whole, of which this one has its `rank_slice`."""
+    ranks = fabric.world_size
+    if ranks == 1:
+        return mine
+    # Slices may differ by one, and what is gathered must be of one length: filled up here, cut off again below.
+    longest = -(-total // ranks)
+    rows = fabric.all_gather(F.pad(mine, (0, 0, 0, longest - len(mine))))
+    slices = [rank_slice(total, rank, ranks) for rank in range(ranks)]
+    return torch.cat([each[: own.stop - own.start] for each, own in zip(rows, slices, strict=True)])
 
 
 def step_seed(seed: int, step: int, rank: int = 0) -> int:

@@ -17,10 +17,9 @@ from typing import Any
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from salad.network.tokens import Tokens
-from salad.training.devices import combined_seed, rank_slice
+from salad.training.devices import combined_seed, gather_slices, rank_slice
 from salad.training.optim import Objective
 
 Part = Float[Tensor, "batch 3 height width"] | Tokens
@@ -57,7 +56,7 @@ def backward_in_parts(
     mine = torch.cat([part.detach() for part in described])
 
     ranks = fabric.world_size
-    everyones = _gathered(fabric, mine, len(labels)).detach().requires_grad_()
+    everyones = gather_slices(fabric, mine, len(labels)).detach().requires_grad_()
     loss = objective(everyones, labels)
     (gradient,) = torch.autograd.grad(loss, everyones)
     # The processes' gradients are averaged later, while the batch's is their sum.
@@ -78,15 +77,3 @@ def _seeded(module: nn.Module, part: Part, seed: int, number: int) -> Float[Tens
     torch.manual_seed(combined_seed(seed, number))  # the same hidden numbers are dropped both times
     described: Tensor = module(part).float()
     return described
-
-
-def _gathered(fabric: Any, mine: Float[Tensor, "mine dim"], total: int) -> Float[Tensor, "total dim"]:
-    """Every process's descriptors in the order of the batch."""
-    ranks = fabric.world_size
-    if ranks == 1:
-        return mine
-    # Slices may differ by one, and what is gathered must be of one length: filled up here, cut off again below.
-    longest = -(-total // ranks)
-    rows = fabric.all_gather(F.pad(mine, (0, 0, 0, longest - len(mine))))
-    slices = [rank_slice(total, rank, ranks) for rank in range(ranks)]
-    return torch.cat([each[: own.stop - own.start] for each, own in zip(rows, slices, strict=True)])

@@ -61,14 +61,21 @@ def mine(
     near = Neighbours([place.where for place in places], apart_m)
     nearby = [near.of(number).tolist() for number in range(len(places))]
     k = 1 + max(map(len, nearby), default=0) + 4 * size + _SPARE  # itself, those near, and enough besides
+    likeness: Likeness = []
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="alike-", dir=folder) as made:
         rows = _described(model, places, images, Path(made) / "descriptors.f16")
-        likeness = _likeness(rows, searcher, k=k)
+        search = searcher(rows)
+        for start, block in rows.blocks(numbers=_ASKED):
+            rows.keep()  # they are swept once for each block
+            hits = search.search(block, k=k)
+            found = zip(hits.rows.tolist(), hits.scores.tolist(), strict=True)
+            for number, (others, scores) in enumerate(found, start):
+                # The same street from a few steps on looks alike too, and is no mistake; -1 is no row at all.
+                barred = {number, -1, *nearby[number]}
+                alike = zip(others, scores, strict=True)
+                likeness.append({other: score for other, score in alike if other not in barred})
         rows.close()
-    for alike, others in zip(likeness, nearby, strict=True):
-        for other in others:
-            alike.pop(other, None)  # the same street from a few steps on looks alike, and is no mistake
     return greedy_cliques(likeness, near, size)
 
 
@@ -85,21 +92,6 @@ def _described(model: Describes, places: Sequence[TrainingPlace], images: ImageC
         found = model.describe(list(pixels), batch_size=_BATCH)
         append(path, storable(found, len(part), model.dim), at=start)
     return FileRows(path, rows=len(places), dim=model.dim)
-
-
-def _likeness(rows: FileRows, searcher: SearcherFactory, *, k: int) -> Likeness:
-    """The `k` most alike of each place, itself left out."""
-    likeness: Likeness = []
-    finds = searcher(rows)
-    for start, block in rows.blocks(numbers=_ASKED):
-        rows.keep()  # they are swept once for each block
-        hits = finds.search(block, k=k)
-        for place, (others, scores) in enumerate(
-            zip(hits.rows.tolist(), hits.scores.tolist(), strict=True), start
-        ):
-            found = zip(others, scores, strict=True)
-            likeness.append({other: score for other, score in found if other not in (place, -1)})
-    return likeness
 
 
 def greedy_cliques(likeness: Likeness, near: Neighbours, size: int) -> list[list[int]]:

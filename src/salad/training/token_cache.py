@@ -51,13 +51,14 @@ class TokenCache:
         self.folder = folder / self._settings()
 
     def parts(self, step: int, batch: Sequence[View]) -> list[Tokens]:
-        """This process's share of a step's batch, as tokens that pass through the head part after part."""
+        """This process's slice of a step's batch, as tokens that pass through the head part after part."""
         recipe = self.batches.recipe
+        # Drawn for the whole batch, so that a photo has the same version however many processes share the batch.
         chance = np.random.default_rng((recipe.seed, step, recipe.cache_versions))
         versions = chance.integers(recipe.cache_versions, size=len(batch)).tolist()
-        share = list(zip(self.batches.rank_slice(batch), self.batches.rank_slice(versions), strict=True))
-        each = recipe.at_once or len(share)
-        return [self._stacked(share[start : start + each]) for start in range(0, len(share), each)]
+        mine = list(zip(self.batches.rank_slice(batch), self.batches.rank_slice(versions), strict=True))
+        each = recipe.at_once or len(mine)
+        return [self._stacked(mine[start : start + each]) for start in range(0, len(mine), each)]
 
     def _stacked(self, asked: Sequence[tuple[View, int]]) -> Tokens:
         kept = [self.kept(view, version) for view, version in asked]
@@ -91,22 +92,23 @@ class TokenCache:
         }
 
     def _name(self, view: View, version: int) -> str:
-        try:
+        try:  # size and time of change stand for the content: to hash every photo at every step would cost more
             there = view.path.stat()
             state = [there.st_size, there.st_mtime_ns]
         except OSError:  # another photo of its place stands in for it until it is back
             state = []
-        told = [str(view.path.absolute()), *state, view.mirrored, version]
-        return hashlib.blake2b(json.dumps(told).encode(), digest_size=16).hexdigest()
+        decides = [str(view.path.absolute()), *state, view.mirrored, version]
+        return hashlib.blake2b(json.dumps(decides).encode(), digest_size=16).hexdigest()
 
     def _settings(self) -> str:
         """Names what decides all files alike: the backbone, how photos are read and changed, the precision."""
         recipe: Any = self.batches.recipe
         size = asdict(training_preprocessing(self.model, recipe))
-        told = [self.model.config.as_dict()["backbone"], size, DECODER, recipe.augment, recipe.precision]
-        digest = hashlib.blake2b(json.dumps(told, sort_keys=True).encode(), digest_size=8)
+        decides = [self.model.config.as_dict()["backbone"], size, DECODER, recipe.augment, recipe.precision]
+        digest = hashlib.blake2b(json.dumps(decides, sort_keys=True).encode(), digest_size=8)
         for key, weight in sorted(self.model.backbone.state_dict().items()):
             digest.update(key.encode())
+            # As float64, so that the same numbers held in another precision are the same backbone.
             plain = weight.detach().to("cpu", torch.float64 if weight.is_floating_point() else torch.int64)
             digest.update(plain.contiguous().numpy().tobytes())
         return digest.hexdigest()
