@@ -53,5 +53,5 @@ class Page(HTMLParser):
 class Sharing(FakeDescriber):
     """A fake with a dustbin."""
 
-    def share(self, photo: object) -> object:
+    def token_assignment(self, photo: object) -> object:
         return SimpleNamespace(dustbin=np.full((3, 4), 0.9), cluster=np.arange(12).reshape(3, 4))

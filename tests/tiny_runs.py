@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
+from torch import Tensor
 
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
+from salad.models.describer import Describer, PhotoLike
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
+from salad.network.network import Network
 from salad.training.recipe import Preset, Recipe
 
 Teach = Callable[..., Path]
+
+
+def images_of(network: Network, photos: Sequence[PhotoLike]) -> Tensor:
+    """Photos, squeezed and normalised as the network takes them."""
+    return network.normalise(torch.from_numpy(Describer.of(network).squeezed(photos)))
 
 
 @pytest.fixture(scope="session")

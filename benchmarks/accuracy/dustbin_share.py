@@ -23,6 +23,7 @@ from salad.models.describer import Describer
 from salad.models.model_folder import load
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import Calibration
+from salad.network.network import load_weights
 from salad.training.batches import ImageCache
 from salad.training.recipe import PRESETS
 from salad.training.validation import precision_held_out
@@ -41,9 +42,7 @@ def with_share(model: Describer, share: float) -> Describer:
         aggregator=replace(aggregator, dustbin_share=share),
         calibration=Calibration(centred=True),
     )
-    made = Describer(config).eval()
-    made.load_state_dict(model.state_dict())
-    return made
+    return Describer.of(load_weights(config, model.weights(), source=Path(model.name)))
 
 
 def recalls(model: Describer, data: Path) -> Iterator[str]:

@@ -22,7 +22,7 @@ from benchmarks.options import EVAL, benchmark_parser
 import salad
 from salad.images.photo import Photo
 from salad.index.vectors import storable
-from salad.models.describer import Describes
+from salad.models.describer import DescriberLike
 
 BATCH = 16
 ROUNDING = 2.0**-22  # of a float32 score around 1, sums of thousands of products included
@@ -30,7 +30,7 @@ ROUNDING = 2.0**-22  # of a float32 score around 1, sums of thousands of product
 Floats = npt.NDArray[np.float32]
 
 
-def described(model: Describes, photos: Sequence[Photo]) -> Floats:
+def described(model: DescriberLike, photos: Sequence[Photo]) -> Floats:
     """Descriptors `[N, dim]`."""
     paths = [photo.path for photo in photos]
     parts = [model.describe(paths[low : low + BATCH]) for low in range(0, len(paths), BATCH)]

@@ -20,7 +20,7 @@ from salad.network.config import Preprocessing
 
 @dataclass(frozen=True)
 class Hog:
-    """Keeps the seam `Describes`; by default 7 x 7 blocks of 2 x 2 cells of 9 orientations: 1,764 numbers."""
+    """Keeps the seam `DescriberLike`; by default 7 x 7 blocks of 2 x 2 cells of 9 orientations: 1,764 numbers."""
 
     side: int = 128
     cell: int = 16

@@ -27,8 +27,9 @@ from benchmarks.options import EVAL, RUNS, TRAIN, benchmark_parser
 
 from salad.datasets.benchmark import Benchmark, from_radius
 from salad.evaluation.evaluate import evaluate
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.model_folder import load
+from salad.network.network import Network, build
 from salad.training.checkpoint import CHECKPOINT, CONFIG
 from salad.training.recipe import Preset, preset
 from salad.training.start import start_backbone
@@ -74,7 +75,7 @@ def _copied(checkpoint: Path, copies: Path, seen: int) -> int:
     return written
 
 
-def untrained(made: Preset) -> Describer:
+def untrained(made: Preset) -> Network:
     """The backbone the run starts from under the head it starts with."""
     model = build(made.model, seed=made.recipe.seed)
     start_backbone(model, made.start)
@@ -93,11 +94,12 @@ def curve(asked: argparse.Namespace, benchmark: Benchmark) -> dict[str, Any]:
     made = replace(made, recipe=replace(made.recipe, seed=asked.seed))
     copies = asked.to / "checkpoints"
     seconds = trained(asked, copies)
-    model = untrained(made)
+    network = untrained(made)
+    model = Describer.of(network)
     points = [{"step": 0, "minutes": 0.0, "recall": recall(model, benchmark), "what": "untrained head"}]
     for copy in sorted(copies.iterdir()):
         saved = torch.load(copy, map_location="cpu", weights_only=True)
-        model.load_state_dict(saved["average"])
+        network.load_state_dict(saved["average"])
         minutes = round(saved["seconds"] / 60, 2)
         point = {"step": saved["step"], "minutes": minutes, "recall": recall(model, benchmark)}
         points.append({**point, "what": "running mean of the weights"})

@@ -17,7 +17,8 @@ import torch
 from benchmarks.accuracy.held_out import drawn, leave_out, told
 from benchmarks.options import RUNS, TRAIN, benchmark_parser
 
-from salad.models.describer import build
+from salad.models.describer import Describer
+from salad.network.network import build
 from salad.training.batches import ImageCache
 from salad.training.checkpoint import CHECKPOINT, TrainingState
 from salad.training.recipe import PRESETS
@@ -53,7 +54,7 @@ def main() -> None:
         for share in SHARES:
             state = TrainingState(build(preset.model), tuned_share=share)
             state.load_state_dict(saved)
-            kept = state.kept().eval()
+            kept = Describer.of(state.kept().eval())
             there = [precision_held_out(kept, some, shelf) for some in (unknown, held_out)]
             print(f"share {share:.2f}: {' | '.join(map(told, there))}", flush=True)
 

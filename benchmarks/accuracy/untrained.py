@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from torch.nn import functional as F
 
 from salad.datasets.places import find_places
-from salad.models.describer import Describer, build
-from salad.network.aggregator_config import AGGREGATORS, GemConfig
+from salad.models.describer import Describer
+from salad.network.aggregator_config import GemConfig, compared_aggregators
 from salad.network.config import Preprocessing
+from salad.network.network import build
 from salad.training.recipe import PRESETS
 from salad.training.start import start_backbone
 from salad.training.vocabulary import fit, needs_fitting
@@ -34,17 +35,17 @@ def untrained(pooling: str = "gem") -> Describer:
     """
     preset = PRESETS["salad-lite"]
     width = preset.model.aggregator.width
-    pooled = GemConfig(width=width) if pooling == "gem" else AGGREGATORS[pooling](width)
+    pooled = GemConfig(width=width) if pooling == "gem" else compared_aggregators(width)[pooling]
     model = build(replace(preset.model, name=f"salad-lite-untrained-{pooling}", aggregator=pooled))
     start_backbone(model, preset.start)
     if needs_fitting(model):
         photos = [photo for place in find_places(TRAIN) for photo in place.photos]
         fit(model, photos, seed=0)
-    return model
+    return Describer.of(model)
 
 
 class UntrainedGrid:
-    """Keeps the seam `Describes`: the tokens' mean in each cell of a 4 x 4 grid."""
+    """Keeps the seam `DescriberLike`: the tokens' mean in each cell of a 4 x 4 grid."""
 
     name = "salad-lite-untrained-grid"
     grid = 4
@@ -59,13 +60,12 @@ class UntrainedGrid:
         """How photos are prepared: as for `salad-lite`."""
         return self.model.preprocessing
 
-    @torch.inference_mode()
     def describe(self, photos: Sequence[Any], *, batch_size: int = 16) -> NDArray[np.float32]:
         """Describe photos, float32 `[N, dim]`, rows of length 1."""
         batches = [photos[start : start + batch_size] for start in range(0, len(photos), batch_size)]
         return np.concatenate([self._batch(batch) for batch in batches])
 
     def _batch(self, photos: Sequence[Any]) -> NDArray[np.float32]:
-        tokens = self.model.tokens(self.model.prepare(photos))
-        patches = tokens.patches.transpose(1, 2).unflatten(2, tokens.grid)
+        tokens = self.model.engine.run(self.model.squeezed(photos), ("patches",))["patches"]
+        patches = torch.from_numpy(tokens).permute(0, 3, 1, 2)
         return F.normalize(F.adaptive_avg_pool2d(patches, self.grid).flatten(1), dim=1).numpy()

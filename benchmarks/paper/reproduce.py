@@ -43,7 +43,7 @@ from salad.evaluation.result import read_result, write_result
 from salad.files import write_whole
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 OPTIONS = {
     "msls-val-740": "msls_val",
@@ -52,7 +52,7 @@ OPTIONS = {
     "sped": "sped",
 }
 BARE = "dinov2-vitb14"
-Load = Callable[..., "Describes"]
+Load = Callable[..., "DescriberLike"]
 
 
 def main(arguments: Sequence[str] | None = None, *, load: Load | None = None) -> int:
@@ -157,7 +157,7 @@ def _outside(method: str, saved: str) -> Figure:
     return Figure(Judged(f"{method}-{saved}", claim, saved, None, result.fingerprint, None), result)
 
 
-def _judged(row: Row, model: Describes) -> Judged:
+def _judged(row: Row, model: DescriberLike) -> Judged:
     image = model.preprocessing.height, model.preprocessing.width
     why = tuple(unlike(row.claim, model))
     return Judged(
@@ -170,7 +170,7 @@ def _pass_over(report: Report, sentence: str) -> None:
     report.missing.append(sentence)
 
 
-def _load(spec: str, **settings: Any) -> Describes:
+def _load(spec: str, **settings: Any) -> DescriberLike:
     from salad.models.model_folder import load
 
     return load(spec, **settings)

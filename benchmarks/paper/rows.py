@@ -15,7 +15,7 @@ from salad.errors import BenchmarkError, WeightsError
 from salad.models.hub import ZOO
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 FULL = "dinov2-salad"
 
@@ -72,7 +72,7 @@ def rows(
     return found
 
 
-def check_given(row: Row, model: Describes) -> None:
+def check_given(row: Row, model: DescriberLike) -> None:
     """Refuse now, not after a night of describing, a file that is not the model it was given as.
 
     Raises:
@@ -86,7 +86,7 @@ def check_given(row: Row, model: Describes) -> None:
         )
 
 
-def unlike(paper: Claim, model: Describes) -> Iterator[str]:
+def unlike(paper: Claim, model: DescriberLike) -> Iterator[str]:
     """Why a model is not the paper's, as far as can be seen of it; nothing where the paper has no figure."""
     if not paper.figures:
         return

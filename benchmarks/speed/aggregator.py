@@ -68,7 +68,7 @@ def aggregate(model: Salad, tokens: Tokens, way: str) -> Tensor:
         return model(tokens)
     plan = model.plan(tokens)[:, :-1]
     clusters = SUMS[way](model.feature(tokens.patches), plan)
-    parts = F.normalize(model.scene(tokens.scene), dim=1), F.normalize(clusters, dim=1).flatten(1)
+    parts = F.normalize(model.scene(tokens.cls), dim=1), F.normalize(clusters, dim=1).flatten(1)
     return F.normalize(torch.cat(parts, dim=1), dim=1)
 
 
@@ -107,7 +107,7 @@ def peak(way: str, batch: int, threads: int) -> float:
 def _peak(way: str, batch: int, threads: int) -> float:
     torch.set_num_threads(threads)
     model, tokens = setting(batch)
-    small = Tokens(tokens.patches[:1, :81].clone(), tokens.scene[:1], (9, 9), 14)
+    small = Tokens(tokens.patches[:1, :81].clone(), tokens.cls[:1], (9, 9), 14)
     aggregate(model, small, way)  # brings in the libraries' code, which is nobody's tensors
     before = _highest_resident()
     aggregate(model, tokens, way)

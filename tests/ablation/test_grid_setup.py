@@ -19,10 +19,10 @@ from salad.ablation.grid_setup import (
 )
 from salad.ablation.grids import ALL_BLOCKS, GRIDS, GridRow, grid_rows
 from salad.errors import ModelError, TooFewTokensError, WeightsError
-from salad.models.describer import build
 from salad.network.aggregator_config import MixVprConfig, SaladConfig
-from salad.network.backbones.efficientnet import build_backbone
+from salad.network.backbones.base import build_backbone
 from salad.network.config import LiteConfig, Preprocessing, ViTConfig
+from salad.network.network import build
 from salad.training.recipe import LITE_PHOTO, PRESETS, Recipe
 
 STEPS = Recipe(head_steps=1, tune_steps=3)

@@ -9,7 +9,7 @@ import pytest
 
 from salad.ablation.grids import ALL_BLOCKS, GRIDS, PAPERS_BLOCKS, grid_rows
 from salad.errors import ModelError
-from salad.network.aggregator_config import AGGREGATORS
+from salad.network.aggregator_config import compared_aggregators
 
 
 @pytest.mark.parametrize("grid", GRIDS)
@@ -19,7 +19,7 @@ def test_rows_are_told_apart_and_name_aggregators_there_are(grid: str) -> None:
         assert len({getattr(row, each) for row in there}) == len(there)
     for row in there:
         assert re.fullmatch(r"[a-z0-9-]+", row.name)  # a folder's name on every system
-        made = AGGREGATORS[row.aggregator](64)
+        made = compared_aggregators(64)[row.aggregator]
         assert all(hasattr(made, setting) for setting in row.change)
         assert row.blocks >= 0 or row.blocks == ALL_BLOCKS
 

@@ -20,9 +20,10 @@ from salad.ablation.runner import GridBenchmark, GridRunner, data_summary, milli
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError, SaladError
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.model_folder import load, write_folder
 from salad.network.config import LiteConfig, Preprocessing
+from salad.network.network import build
 from salad.training.recipe import Preset, Recipe
 
 SETUP = GridSetup(
@@ -141,8 +142,8 @@ def test_an_outcome_holds_what_it_takes_to_repeat_it(places: list[TrainingPlace]
     assert (found.dim, found.fingerprint, found.seed) == (model.dim, model.fingerprint, 1)
     assert found.preset["model"] == json.loads(json.dumps(model.config.as_dict()))
     assert (found.preset["recipe"]["seed"], found.preset["recipe"]["tune_steps"]) == (1, 3)
-    head = sum(weight.numel() for weight in model.aggregator.parameters())
-    assert found.parameters == {"all": sum(w.numel() for w in model.parameters()), "trained": head}
+    head = sum(weight.numel() for weight in model.network.aggregator.parameters())
+    assert found.parameters == {"all": sum(w.numel() for w in model.network.parameters()), "trained": head}
     assert found.data["places"], found.data["photos"] == (6, 24)
     assert set(found.held_out) == {"set", "mean"}
     assert {"python", "salad", "torch"} <= set(found.versions)

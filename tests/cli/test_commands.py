@@ -533,8 +533,8 @@ def test_demo_shows_a_table_and_says_where_the_page_is(
 @pytest.fixture
 def model_folder(tmp_path: Path) -> Path:
     """A real model, small and untrained: it tells photos apart no better than chance."""
-    from salad.models.describer import build
     from salad.models.model_folder import write_folder
+    from salad.network.network import build
 
     return write_folder(build(TINY), tmp_path / "models" / "my tiny")
 

@@ -19,10 +19,10 @@ from safetensors.torch import load_file
 
 import salad
 from salad.models import hub
-from salad.models.describer import build
 from salad.models.model_folder import write_folder
 from salad.network.aggregator_config import SceneConfig, VladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing
+from salad.network.network import build
 
 
 @pytest.fixture(autouse=True)

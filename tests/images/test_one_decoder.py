@@ -19,11 +19,12 @@ from salad.images.photo import Photo
 from salad.index.build import index_photos
 from salad.index.index import Index
 from salad.localize.locate import locate_many
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.fake import FakeDescriber
 from salad.network.aggregator_config import SaladConfig
 from salad.network.backbones.dinov2 import ViTConfig
 from salad.network.config import ModelConfig, Preprocessing
+from salad.network.network import build
 from salad.training.batches import ImageCache
 
 SIZE = Preprocessing(56, 70)
@@ -82,7 +83,7 @@ def seen(paths: list[Path]) -> list[np.ndarray]:
 
 @pytest.fixture
 def watched() -> Watched:
-    return Watched(build(TINY))
+    return Watched(Describer.of(build(TINY)))
 
 
 @pytest.fixture
@@ -102,10 +103,10 @@ def test_photos_are_large_enough_to_tell(paths: list[Path], seen: list[np.ndarra
 
 
 def test_a_model_given_paths(paths: list[Path], seen: list[np.ndarray]) -> None:
-    model = build(TINY)
-    assert np.array_equal(model.prepare(paths).numpy(), model.prepare(seen).numpy())
+    model = Describer.of(build(TINY))
+    assert np.array_equal(model.squeezed(paths), model.squeezed(seen))
     assert np.array_equal(model.describe(paths, batch_size=1), model.describe(seen, batch_size=1))
-    assert np.array_equal(model.share(paths[0]).dustbin, model.share(seen[0]).dustbin)
+    assert np.array_equal(model.token_assignment(paths[0]).dustbin, model.token_assignment(seen[0]).dustbin)
 
 
 def test_the_model_for_tests_given_paths(paths: list[Path], seen: list[np.ndarray]) -> None:

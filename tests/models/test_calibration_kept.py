@@ -10,10 +10,11 @@ import pytest
 from salad.errors import WeightsError
 from salad.localize.locate import calibration_of
 from salad.localize.voting import GENERIC
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.model_folder import CONFIG, WEIGHTS, read_folder, write_calibration, write_folder
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import Calibration, LiteConfig, ModelConfig, Preprocessing
+from salad.network.network import build
 
 MINE = Calibration(sharpness=30.0, bias=-3.25, radius=0.5, min_confidence=0.625, provenance="drawn")
 
@@ -21,7 +22,7 @@ MINE = Calibration(sharpness=30.0, bias=-3.25, radius=0.5, min_confidence=0.625,
 @pytest.fixture(scope="module")
 def model() -> Describer:
     aggregator = SaladConfig(width=24, clusters=4, cluster_dim=8, scene_dim=8, hidden=16)
-    return build(ModelConfig("tiny", LiteConfig(blocks=3), aggregator, Preprocessing(64, 64)))
+    return Describer.of(build(ModelConfig("tiny", LiteConfig(blocks=3), aggregator, Preprocessing(64, 64))))
 
 
 def test_it_is_written_beside_the_weights_and_read_back(model: Describer, tmp_path: Path) -> None:

@@ -18,10 +18,11 @@ from torch.nn import functional as F
 
 import salad
 from salad.errors import ModelError, PhotoError, TooFewTokensError
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.network.aggregator_config import RouteConfig, SaladConfig, SceneConfig
 from salad.network.aggregators.route import Route
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
+from salad.network.network import build
 from salad.report import explain
 
 PHOTO = Preprocessing(height=42, width=56)
@@ -41,7 +42,11 @@ LITE = dataclasses.replace(
 
 @pytest.fixture(scope="module", params=[VIT, LITE], ids=["vit", "lite0"])
 def model(request: pytest.FixtureRequest) -> Describer:
-    return build(request.param)
+    return made(request.param)
+
+
+def made(config: ModelConfig, *, seed: int = 0) -> Describer:
+    return Describer.of(build(config, seed=seed))
 
 
 def _pixels(seed: int, height: int = 60, width: int = 80) -> np.ndarray:
@@ -80,9 +85,9 @@ def test_a_batch_of_one_is_the_same_row_of_a_batch(model: Describer) -> None:
 def test_a_side_that_is_no_multiple_is_rounded_to_the_nearest(
     given_: tuple[int, int], used: tuple[int, int]
 ) -> None:
-    model, images = build(VIT), _images(2, *given_)
+    model, images = made(VIT), _images(2, *given_)
     by_hand = F.interpolate(images, size=used, mode="bilinear", antialias=True)
-    assert model.tokens(images).grid == (used[0] // 14, used[1] // 14)
+    assert model.network.tokens(images).grid == (used[0] // 14, used[1] // 14)
     torch.testing.assert_close(model(images), model(by_hand), rtol=0, atol=0)
 
 
@@ -90,8 +95,8 @@ def test_a_side_that_is_no_multiple_is_rounded_to_the_nearest(
 @given(st.integers(1, 90), st.integers(1, 90))
 @torch.no_grad()
 def test_the_grid_is_the_nearest_there_is(height: int, width: int) -> None:
-    model = build(dataclasses.replace(VIT, aggregator=SceneConfig(16)))
-    grid = model.tokens(_images(1, height, width)).grid
+    model = made(dataclasses.replace(VIT, aggregator=SceneConfig(16)))
+    grid = model.network.tokens(_images(1, height, width)).grid
     for cells, side in zip(grid, (height, width), strict=True):
         assert cells >= 1
         assert abs(cells * 14 - side) <= max(7, 14 - side)
@@ -99,7 +104,7 @@ def test_the_grid_is_the_nearest_there_is(height: int, width: int) -> None:
 
 @torch.no_grad()
 def test_photos_need_not_be_square(model: Describer) -> None:
-    upright, lying = model.tokens(_images(1, 168, 84)), model.tokens(_images(1, 84, 168))
+    upright, lying = model.network.tokens(_images(1, 168, 84)), model.network.tokens(_images(1, 84, 168))
     assert upright.grid == lying.grid[::-1]
     assert upright.grid[0] == 2 * upright.grid[1]
 
@@ -109,7 +114,7 @@ def test_images_too_small_for_the_clusters_name_the_side_that_works() -> None:
     config = dataclasses.replace(
         VIT, aggregator=SaladConfig(16, clusters=64, cluster_dim=2, scene_dim=2, hidden=4)
     )
-    model = build(config)
+    model = made(config)
     with pytest.raises(TooFewTokensError, match=r"64 tokens, but 64 clusters .* at least 126 x 126"):
         model(_images(1, 112, 112))
     assert model(_images(1, 126, 126)).shape == (1, 130)
@@ -128,16 +133,17 @@ def test_a_picture_in_hand_is_read_as_its_file_is(mode: str, tmp_path: Path) -> 
     if "A" in mode:  # half of it is transparent: over white, from the file and from the hand
         picture.putalpha(Image.linear_gradient("L").resize(picture.size))
     picture.save(tmp_path / "a.png")
-    model = build(VIT)
+    model = made(VIT)
     from_hand, from_file = model.describe([picture, tmp_path / "a.png"])
     np.testing.assert_allclose(from_hand, from_file, atol=1e-6)
 
 
 def test_an_array_of_the_models_own_size_is_not_resampled() -> None:
-    model, pixels = build(VIT), _pixels(5, 42, 56)
+    model, pixels = made(VIT), _pixels(5, 42, 56)
     mean, std = (np.array(values, np.float32) for values in (PHOTO.mean, PHOTO.std))
     expected = ((pixels.astype(np.float32) / 255 - mean) / std).transpose(2, 0, 1)
-    np.testing.assert_allclose(model.prepare([pixels])[0].numpy(), expected, atol=1e-5)
+    normalised = model.network.normalise(torch.from_numpy(model.squeezed([pixels])))
+    np.testing.assert_allclose(normalised[0].numpy(), expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -151,47 +157,46 @@ def test_an_array_of_the_models_own_size_is_not_resampled() -> None:
 )
 def test_an_array_that_is_no_photo_is_refused(array: np.ndarray) -> None:
     with pytest.raises(PhotoError, match=r"is no photo: give uint8 \[height, width, 3\]"):
-        build(VIT).describe([array])
+        made(VIT).describe([array])
 
 
 def test_a_missing_photo_is_named(tmp_path: Path) -> None:
     with pytest.raises(PhotoError, match=r"gone\.jpg"):
-        build(VIT).describe([tmp_path / "gone.jpg"])
+        made(VIT).describe([tmp_path / "gone.jpg"])
 
 
 @pytest.mark.parametrize("size", [0, -1])
 def test_batches_hold_at_least_one_photo(size: int) -> None:
     with pytest.raises(ModelError, match=f"batch_size is {size}"):
-        build(VIT).describe([_pixels(0)], batch_size=size)
+        made(VIT).describe([_pixels(0)], batch_size=size)
 
 
 def test_describing_leaves_the_models_mode_as_it_was() -> None:
-    model = build(VIT)
+    model = made(VIT)
     expected = model.describe([_pixels(6)])
-    model.train()
+    model.network.train()
     np.testing.assert_array_equal(model.describe([_pixels(6)]), expected)  # no dropout
-    model.share(_pixels(6))
-    assert model.training
+    model.token_assignment(_pixels(6))
+    assert model.network.training
     with pytest.raises(PhotoError):
         model.describe([np.zeros(3, np.uint8)])
-    assert model.training
+    assert model.network.training
 
 
-def test_share_says_where_the_tokens_went() -> None:
-    model = build(VIT)
-    share = model.share(_pixels(7))
-    assert share.dustbin.shape == share.cluster.shape == (3, 4)
-    assert share.dustbin.min() >= 0
-    assert share.dustbin.max() <= 1
-    with torch.no_grad():
-        plan = model.aggregator.plan(model.tokens(model.prepare([_pixels(7)])))[0]
-    np.testing.assert_allclose(share.dustbin.ravel(), plan[-1].numpy(), atol=1e-6)
-    np.testing.assert_array_equal(share.cluster.ravel(), plan[:4].argmax(dim=0).numpy())
+def test_the_token_assignment_says_where_the_tokens_went() -> None:
+    model = made(VIT)
+    assigned = model.token_assignment(_pixels(7))
+    assert assigned.dustbin.shape == assigned.cluster.shape == (3, 4)
+    assert assigned.dustbin.min() >= 0
+    assert assigned.dustbin.max() <= 1
+    plan = model.engine.run(model.squeezed([_pixels(7)]), ("plan",))["plan"][0]
+    np.testing.assert_allclose(assigned.dustbin.ravel(), plan[-1].ravel(), atol=1e-6)
+    np.testing.assert_array_equal(assigned.cluster.ravel(), plan[:4].argmax(axis=0).ravel())
 
 
 def test_a_model_without_a_dustbin_says_so() -> None:
     with pytest.raises(ModelError, match="tiny has no dustbin"):
-        build(dataclasses.replace(VIT, aggregator=SceneConfig(16))).share(_pixels(0))
+        made(dataclasses.replace(VIT, aggregator=SceneConfig(16))).token_assignment(_pixels(0))
 
 
 @pytest.mark.parametrize(
@@ -204,9 +209,9 @@ def test_a_model_without_a_dustbin_says_so() -> None:
 def test_a_variant_whose_dustbin_has_no_share_says_so(change: dict[str, Any], said: str) -> None:
     aggregator = dataclasses.replace(VIT.aggregator, **change)
     for part in (aggregator, RouteConfig(16, salad=aggregator)):
-        model = build(dataclasses.replace(VIT, aggregator=part))
+        model = made(dataclasses.replace(VIT, aggregator=part))
         with pytest.raises(ModelError, match=f"tiny has no dustbin to show: {said}"):
-            model.share(_pixels(0))
+            model.token_assignment(_pixels(0))
         assert explain.share_of(model, Image.fromarray(_pixels(0))) is None
         assert model.describe([_pixels(0)]).shape == (1, model.dim)
 
@@ -214,14 +219,17 @@ def test_a_variant_whose_dustbin_has_no_share_says_so(change: dict[str, Any], sa
 def test_a_route_shares_as_its_salad_does() -> None:
     assert isinstance(VIT.aggregator, SaladConfig)
     model, route = (
-        build(VIT),
-        build(dataclasses.replace(VIT, aggregator=RouteConfig(16, salad=VIT.aggregator))),
+        made(VIT),
+        made(dataclasses.replace(VIT, aggregator=RouteConfig(16, salad=VIT.aggregator))),
     )
     weights = {
-        key.replace("aggregator.", "aggregator.salad."): value for key, value in model.state_dict().items()
+        key.replace("aggregator.", "aggregator.salad."): value
+        for key, value in model.network.state_dict().items()
     }
-    route.load_state_dict(weights, strict=False)
-    for mine, theirs in zip(route.share(_pixels(7)), model.share(_pixels(7)), strict=True):
+    route.network.load_state_dict(weights, strict=False)
+    for mine, theirs in zip(
+        route.token_assignment(_pixels(7)), model.token_assignment(_pixels(7)), strict=True
+    ):
         np.testing.assert_array_equal(mine, theirs)
 
 
@@ -234,8 +242,9 @@ def test_models_that_ship_are_known_by_the_fingerprint_they_have_always_had() ->
 def test_the_route_variant_is_the_same_model_beside_a_layout() -> None:
     route, lite = salad.load("salad-lite-route"), salad.load("salad-lite")
     assert (route.fingerprint, route.dim) == ("c9b2406dab760798", 8960)
-    assert isinstance(route.aggregator, Route)
-    for mine, theirs in ((route.backbone, lite.backbone), (route.aggregator.salad, lite.aggregator)):
+    parts, whole = route.network, lite.network
+    assert isinstance(parts.aggregator, Route)
+    for mine, theirs in ((parts.backbone, whole.backbone), (parts.aggregator.salad, whole.aggregator)):
         for name, weight in theirs.state_dict().items():
             assert torch.equal(mine.state_dict()[name], weight), name
     photo = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
@@ -246,22 +255,22 @@ def test_the_route_variant_is_the_same_model_beside_a_layout() -> None:
 
 def test_parts_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ModelError, match="takes tokens of 24 numbers, but the backbone makes them of 16"):
-        build(dataclasses.replace(VIT, aggregator=SceneConfig(24)))
+        made(dataclasses.replace(VIT, aggregator=SceneConfig(24)))
 
 
 def test_the_same_seed_builds_the_same_weights_and_disturbs_nobody() -> None:
     torch.manual_seed(5)
     expected = torch.rand(1)
     torch.manual_seed(5)
-    first, second, other = build(VIT, seed=1), build(VIT, seed=1), build(VIT, seed=2)
+    first, second, other = made(VIT, seed=1), made(VIT, seed=1), made(VIT, seed=2)
     assert torch.equal(torch.rand(1), expected)
     assert first.fingerprint == second.fingerprint != other.fingerprint
 
 
 def test_the_fingerprint_changes_with_every_weight() -> None:
-    model = build(VIT)
+    model = made(VIT)
     seen = {model.fingerprint}
-    weights = model.state_dict()
+    weights = model.network.state_dict()
     for value in weights.values():
         old = value.clone()
         value.view(-1)[-1] += 1e-3
@@ -285,7 +294,7 @@ def test_the_fingerprint_changes_with_every_weight() -> None:
 def test_the_fingerprint_changes_with_every_setting_of_preprocessing(change: dict[str, object]) -> None:
     other = dataclasses.replace(PHOTO, **change)
     config = dataclasses.replace(VIT, preprocessing=other)
-    assert build(config).fingerprint != build(VIT).fingerprint
+    assert made(config).fingerprint != made(VIT).fingerprint
     assert {field.name for field in dataclasses.fields(Preprocessing)} == {
         "height",
         "width",
@@ -297,16 +306,16 @@ def test_the_fingerprint_changes_with_every_setting_of_preprocessing(change: dic
 
 def test_names_and_origin_leave_the_fingerprint_alone() -> None:
     other = dataclasses.replace(VIT, name="another", provenance="a cellar", licence="MIT")
-    assert build(other).fingerprint == build(VIT).fingerprint
+    assert made(other).fingerprint == made(VIT).fingerprint
 
 
 def test_the_model_tells_what_it_is() -> None:
-    model = build(VIT)
+    model = made(VIT)
     assert (model.name, model.dim, model.preprocessing, model.device) == (
         "tiny",
         17,
         PHOTO,
-        torch.device("cpu"),
+        "cpu",
     )
 
 

@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from salad.errors import ModelError
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.network.aggregator_config import GemConfig, SaladConfig
 from salad.network.checkpoints import mean
 from salad.network.config import Calibration, LiteConfig, ModelConfig, Preprocessing
+from salad.network.network import build
 
 CONFIG = ModelConfig(
     "tiny",

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from salad.errors import WeightsError
-from salad.models.describer import build
 from salad.network.aggregator_config import SaladConfig, SceneConfig
 from salad.network.checkpoints import recognise
 from salad.network.config import ModelConfig, ViTConfig
+from salad.network.network import build
 
 VIT = ViTConfig(width=16, depth=2, heads=2, patch=4, grid=3)
 HEAD = SaladConfig(width=16, clusters=3, cluster_dim=4, scene_dim=5, hidden=6)

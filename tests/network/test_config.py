@@ -17,7 +17,6 @@ import salad
 from salad.errors import ModelError
 from salad.network.aggregator_config import (
     AGGREGATOR_KINDS,
-    AGGREGATORS,
     PRESETS,
     AverageConfig,
     BoqConfig,
@@ -30,7 +29,7 @@ from salad.network.aggregator_config import (
     SaladConfig,
     SceneConfig,
     VladConfig,
-    for_grid,
+    compared_aggregators,
 )
 from salad.network.config import (
     BACKBONE_KINDS,
@@ -153,7 +152,7 @@ def test_reading_leaves_the_given_settings_alone() -> None:
             "resnet",
             "kind 'resnet' is unknown; known are vit, lite0, lite2, resnet50, convnext",
         ),
-        ("aggregator", "kind", None, "kind None is unknown; known are salad, scene, gem, average"),
+        ("aggregator", "kind", None, "kind None is unknown; known are salad, netvlad, gem, average"),
         ("aggregator", "temperature", 3, "temperature"),
         ("preprocessing", "mean", [0.5, 0.5], "three numbers"),
         ("preprocessing", "std", [1.0, 1.0, 0.0], "std above 0"),
@@ -297,7 +296,7 @@ def test_every_kind_is_written_as_it_is_read() -> None:
 
 
 def test_the_names_that_are_compared() -> None:
-    assert list(AGGREGATORS) == [
+    assert list(compared_aggregators(112)) == [
         *("salad", "salad-no-dustbin", "salad-no-scene", "salad-softmax", "salad-dual-softmax"),
         *(
             "netvlad",
@@ -312,14 +311,14 @@ def test_the_names_that_are_compared() -> None:
         ),
         *("vlad", "salad-route"),
     ]
-    assert AGGREGATORS["salad"](768) == PRESETS["full"]
-    assert AGGREGATORS["salad"](112) == SaladConfig(112, 64, 32, 128, 256)  # as salad-lite's
+    assert compared_aggregators(768)["salad"] == PRESETS["full"]
+    assert compared_aggregators(112)["salad"] == SaladConfig(112, 64, 32, 128, 256)  # as salad-lite's
 
 
 @pytest.mark.parametrize("width", [16, 112, 384, 768, 1024, 1536])
-@pytest.mark.parametrize("name", AGGREGATORS)
+@pytest.mark.parametrize("name", compared_aggregators(768))
 def test_each_is_of_the_width_asked_for_and_can_be_written(name: str, width: int) -> None:
-    config = AGGREGATORS[name](width)
+    config = compared_aggregators(width)[name]
     model = ModelConfig("a", LiteConfig(), config)
     assert config.width == width
     assert config.dim > 0
@@ -327,13 +326,13 @@ def test_each_is_of_the_width_asked_for_and_can_be_written(name: str, width: int
 
 
 def test_only_a_mixer_minds_the_grid() -> None:
-    for name, made in AGGREGATORS.items():
-        config = for_grid(made(112), (7, 9))
+    for name, made in compared_aggregators(112).items():
+        config = made.for_grid((7, 9))
         if name == "mixvpr":
             assert isinstance(config, MixVprConfig)
             assert (config.grid, config.dim) == ((7, 9), 2048)
         else:
-            assert config == made(112)
+            assert config == made
 
 
 @pytest.mark.parametrize(

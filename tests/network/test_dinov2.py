@@ -34,7 +34,7 @@ def test_tokens_have_the_shapes_they_say(registers: int, swiglu: bool, grid: tup
     model = _vit(dataclasses.replace(TINY, registers=registers, swiglu=swiglu))
     tokens = jaxtyped(typechecker=beartype)(model.forward)(_images(2, grid[0] * 14, grid[1] * 14))
     assert tokens.patches.shape == (2, grid[0] * grid[1], 16)
-    assert tokens.scene.shape == (2, 16)
+    assert tokens.cls.shape == (2, 16)
     assert (tokens.grid, tokens.stride) == (grid, 14)
 
 
@@ -51,7 +51,7 @@ def test_a_patch_is_read_row_by_row() -> None:
 def test_positions_are_as_learnt_on_their_own_grid() -> None:
     model = _vit()
     assert model._positions((5, 5)).data_ptr() == model.pos_embed[:, 1:].data_ptr()
-    assert not torch.equal(model(_images(1, 70, 70)).scene, _vit(seed=1)(_images(1, 70, 70)).scene)
+    assert not torch.equal(model(_images(1, 70, 70)).cls, _vit(seed=1)(_images(1, 70, 70)).cls)
 
 
 def test_positions_are_resampled_without_antialias_and_with_the_offset() -> None:
@@ -105,7 +105,7 @@ def test_train_last_trains_exactly_the_last_blocks_and_the_norm(blocks: int) -> 
 
 @pytest.mark.parametrize("blocks", [-1, 4])
 def test_more_blocks_than_there_are_cannot_be_trained(blocks: int) -> None:
-    with pytest.raises(ModelError, match=f"trained_blocks is {blocks}, but this model has 3"):
+    with pytest.raises(ModelError, match=f"trained_blocks is {blocks}, but this backbone has 3"):
         _vit().train_last(blocks)
 
 

@@ -10,11 +10,11 @@ from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
-from salad.models.describer import Describer, build
 from salad.models.model_folder import load
 from salad.network.aggregator_config import SceneConfig
 from salad.network.aggregators.salad import Salad
 from salad.network.config import ModelConfig, ViTConfig
+from salad.network.network import Network, build
 from salad.network.tokens import Tokens
 
 pytestmark = pytest.mark.shared
@@ -37,8 +37,8 @@ def salad_io(golden: Path) -> dict[str, Tensor]:
 
 
 @pytest.fixture(scope="module")
-def flat(golden: Path) -> Describer:
-    return load(golden / "salad_flat.ckpt", heads=2)
+def flat(golden: Path) -> Network:
+    return load(golden / "salad_flat.ckpt", heads=2).network
 
 
 def test_the_golden_sizes_are_the_ones_tested(salad_io: dict[str, Tensor]) -> None:
@@ -47,17 +47,17 @@ def test_the_golden_sizes_are_the_ones_tested(salad_io: dict[str, Tensor]) -> No
 
 @pytest.mark.parametrize("size", SALAD_SIZES)
 @torch.no_grad()
-def test_the_whole_model(flat: Describer, salad_io: dict[str, Tensor], size: str) -> None:
+def test_the_whole_model(flat: Network, salad_io: dict[str, Tensor], size: str) -> None:
     images = salad_io[f"{size}.image"].float()
     tokens = flat.tokens(images)
     descriptors, expected = flat(images), salad_io[f"{size}.descriptor"]
-    _close(tokens.scene, salad_io[f"{size}.cls"])
+    _close(tokens.cls, salad_io[f"{size}.cls"])
     _close(tokens.patches.mean(dim=1), salad_io[f"{size}.patches_mean"])
     _close(descriptors, expected)
     assert float(F.cosine_similarity(descriptors, expected).min()) > 0.999999
 
 
-def test_a_lightning_checkpoint_is_the_same_model(golden: Path, flat: Describer) -> None:
+def test_a_lightning_checkpoint_is_the_same_model(golden: Path, flat: Network) -> None:
     other = load(golden / "salad_lightning.ckpt", heads=2)
     assert other.fingerprint == flat.fingerprint
     config = flat.config
@@ -67,11 +67,11 @@ def test_a_lightning_checkpoint_is_the_same_model(golden: Path, flat: Describer)
 
 @torch.no_grad()
 def test_the_bare_backbone(golden: Path, salad_io: dict[str, Tensor]) -> None:
-    model = load(golden / "dinov2_hub.pth", heads=2)
+    model = load(golden / "dinov2_hub.pth", heads=2).network
     for size in ("126x126", "308x420"):
         images = salad_io[f"{size}.image"].float()
         tokens = model.tokens(images)
-        _close(tokens.scene, salad_io[f"{size}.cls"])
+        _close(tokens.cls, salad_io[f"{size}.cls"])
         _close(tokens.patches.mean(dim=1), salad_io[f"{size}.patches_mean"])
         _close(model(images), F.normalize(salad_io[f"{size}.cls"], dim=1))
 
@@ -84,14 +84,14 @@ def test_the_bare_backbone(golden: Path, salad_io: dict[str, Tensor]) -> None:
 def test_registers_and_the_giants_perceptron(
     golden: Path, name: str, sizes: tuple[str, ...], registers: int, swiglu: bool
 ) -> None:
-    model = load(golden / f"dinov2_{name}_hub.pth", heads=2)
+    model = load(golden / f"dinov2_{name}_hub.pth", heads=2).network
     assert isinstance(model.config.backbone, ViTConfig)
     assert (model.config.backbone.registers, model.config.backbone.swiglu) == (registers, swiglu)
     io = load_file(golden / f"dinov2_{name}_io.safetensors")
     assert {key.split(".")[0] for key in io} == set(sizes)
     for size in sizes:
         tokens = model.tokens(io[f"{size}.image"].float())
-        _close(tokens.scene, io[f"{size}.cls"])
+        _close(tokens.cls, io[f"{size}.cls"])
         _close(tokens.patches, io[f"{size}.patches"])
 
 
@@ -115,7 +115,7 @@ def test_the_aggregator(golden: Path, tmp_path: Path, name: str) -> None:
     raw = {f"backbone.model.{key}": value for key, value in vit.items()}
     raw |= {key: value for key, value in io.items() if key.startswith("aggregator.")}
     torch.save(raw, tmp_path / "a.ckpt")
-    aggregator = load(tmp_path / "a.ckpt", heads=1).aggregator
+    aggregator = load(tmp_path / "a.ckpt", heads=1).network.aggregator
     assert isinstance(aggregator, Salad)
     for case in "012":
         cells = io[f"io.{case}.patches"]

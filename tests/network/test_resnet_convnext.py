@@ -17,13 +17,14 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from salad.errors import MissingExtraError, ModelError
-from salad.models.describer import build
+from salad.models.describer import Describer
 from salad.models.model_folder import load, write_folder
 from salad.network.aggregator_config import SceneConfig
-from salad.network.backbones.efficientnet import build_backbone
+from salad.network.backbones.base import build_backbone
 from salad.network.backbones.resnet_convnext import ConvNext, ResNet, own_names
 from salad.network.config import ConvNextConfig, ModelConfig, Preprocessing, ResNetConfig
 from salad.network.model_size import parameters
+from salad.network.network import build
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("transformers") is None, reason="transformers is not installed"
@@ -114,7 +115,7 @@ def test_torchvisions_weights_give_the_papers_network(resnet: tuple[ResNet, dict
     expected = _resnet_by_hand(weights, images, 2)
     assert tokens.grid == tuple(expected.shape[2:]) == (8, 6)
     torch.testing.assert_close(tokens.patches, expected.flatten(2).transpose(1, 2), rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(tokens.scene, expected.mean(dim=(2, 3)), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(tokens.cls, expected.mean(dim=(2, 3)), rtol=1e-4, atol=1e-4)
 
 
 def test_training_keeps_the_statistics(resnet: tuple[ResNet, dict[str, Tensor]]) -> None:
@@ -183,7 +184,7 @@ def test_convnext_is_the_papers_network() -> None:
     expected = _convnext_by_hand(dict(model.state_dict()), images, [3, 3])
     assert tokens.grid == (4, 6)
     torch.testing.assert_close(tokens.patches, expected, rtol=1e-3, atol=1e-3)
-    torch.testing.assert_close(tokens.scene, expected.mean(dim=1), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(tokens.cls, expected.mean(dim=1), rtol=1e-3, atol=1e-3)
 
 
 def test_a_whole_convnexts_norm_is_not_that_of_a_cut_one() -> None:
@@ -274,7 +275,7 @@ def test_no_more_blocks_can_be_trained_than_there_are(config: Any) -> None:
     with torch.device("meta"):
         model = build_backbone(config)
     for blocks in (-1, 4):
-        with pytest.raises(ModelError, match=f"trained_blocks is {blocks}, but this trunk has 3 blocks"):
+        with pytest.raises(ModelError, match=f"trained_blocks is {blocks}, but this backbone has 3 blocks"):
             model.train_last(blocks)
 
 
@@ -293,8 +294,8 @@ def test_a_describer_over_it_is_made_kept_and_read_back(
     assert model.fingerprint == again.fingerprint != other.fingerprint
     assert load(write_folder(model, tmp_path / "own")).fingerprint == model.fingerprint
     photo = np.random.default_rng(0).integers(0, 256, (40, 40, 3), dtype=np.uint8)
-    row = model.describe([photo])
-    assert row.shape == (1, model.dim)
+    row = Describer.of(model).describe([photo])
+    assert row.shape == (1, config.aggregator.dim)
     assert np.linalg.norm(row) == pytest.approx(1, abs=1e-5)
     assert capfd.readouterr() == ("", "")  # the library beneath says nothing
 
@@ -311,7 +312,7 @@ def test_whoever_builds_none_does_not_wait_for_the_library() -> None:
         "import sys, salad.models.model_folder, salad.training.start, salad.network.model_size as counting\n"
         "from salad.network.aggregator_config import SceneConfig\n"
         "from salad.network.config import LiteConfig, ModelConfig\n"
-        "from salad.models.describer import build\n"
+        "from salad.network.network import build\n"
         "build(ModelConfig('a', LiteConfig(blocks=1), SceneConfig(16)))\n"
         "counting.table(112)\n"
         "sys.exit(bool({'transformers', 'sklearn'} & sys.modules.keys()))"

@@ -72,7 +72,7 @@ def test_feature_k_of_cluster_j_is_number_g_plus_k_m_plus_j() -> None:
     found, plan = model(tokens), model.plan(tokens)
     for photo in range(2):
         expected = torch.zeros(g + l * m, dtype=torch.float64)
-        expected[:g] = tokens.scene[photo, m + l :] / tokens.scene[photo, m + l :].norm()
+        expected[:g] = tokens.cls[photo, m + l :] / tokens.cls[photo, m + l :].norm()
         for j in range(m):
             volume = torch.zeros(l, dtype=torch.float64)
             for token in range(n):
@@ -85,7 +85,7 @@ def test_feature_k_of_cluster_j_is_number_g_plus_k_m_plus_j() -> None:
 def test_gradients_are_right() -> None:
     model = _salad(SMALL).double()
     tokens = _tokens(2, 2, 3, 6, dtype=torch.float64)
-    inputs = [tokens.patches.requires_grad_(), tokens.scene.requires_grad_(), *model.parameters()]
+    inputs = [tokens.patches.requires_grad_(), tokens.cls.requires_grad_(), *model.parameters()]
 
     def describe(patches: Tensor, scene: Tensor, *_: Tensor) -> Tensor:
         descriptors: Tensor = model(Tokens(patches, scene, (2, 3), 14))
@@ -120,7 +120,7 @@ def test_one_photo_alone_is_its_row_in_a_batch() -> None:
     model, tokens = _salad(SMALL), _tokens(4, 3, 4, 6)
     together = model(tokens)
     for row in range(4):
-        alone = Tokens(tokens.patches[row : row + 1], tokens.scene[row : row + 1], tokens.grid, tokens.stride)
+        alone = Tokens(tokens.patches[row : row + 1], tokens.cls[row : row + 1], tokens.grid, tokens.stride)
         torch.testing.assert_close(model(alone)[0], together[row], rtol=0, atol=1e-5)
 
 
@@ -153,7 +153,7 @@ def test_dropout_belongs_to_scores_and_features_in_training_alone() -> None:
     torch.manual_seed(0)
     assert not torch.equal(model.plan(tokens), model.plan(tokens))
     assert not torch.equal(model.feature(tokens.patches), model.feature(tokens.patches))
-    torch.testing.assert_close(model.scene(tokens.scene), model.scene(tokens.scene), rtol=0, atol=0)
+    torch.testing.assert_close(model.scene(tokens.cls), model.scene(tokens.cls), rtol=0, atol=0)
 
 
 def test_the_dustbin_starts_at_one() -> None:

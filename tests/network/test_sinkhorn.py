@@ -16,7 +16,7 @@ from torch import Tensor
 from salad.errors import TooFewTokensError
 from salad.network import sinkhorn as transport
 
-share = jaxtyped(typechecker=beartype)(transport.share)
+sinkhorn_assign = jaxtyped(typechecker=beartype)(transport.sinkhorn_assign)
 sinkhorn = jaxtyped(typechecker=beartype)(transport.sinkhorn)
 
 sizes = st.tuples(st.integers(1, 3), st.integers(1, 6), st.integers(1, 20))  # batch, clusters, tokens more
@@ -46,7 +46,7 @@ def _plain(scores: np.ndarray, dustbin: float, *, rounds: int) -> np.ndarray:
 @given(sizes, seeds, st.floats(-3, 3))
 def test_share_is_three_plain_rounds(size: tuple[int, int, int], seed: int, dustbin: float) -> None:
     scores = _scores(size, seed)
-    plan = share(scores, torch.tensor(dustbin, dtype=torch.float64))
+    plan = sinkhorn_assign(scores, torch.tensor(dustbin, dtype=torch.float64))
     expected = np.stack([_plain(one.numpy(), dustbin, rounds=3) for one in scores])
     np.testing.assert_allclose(plan.numpy(), expected, rtol=1e-9, atol=1e-12)
 
@@ -57,8 +57,8 @@ def test_a_dustbin_that_wants_the_papers_share_is_the_papers(size: tuple[int, in
     scores, dustbin = _scores(size, seed), torch.tensor(1.0, dtype=torch.float64)
     _, clusters, tokens = scores.shape
     torch.testing.assert_close(
-        share(scores, dustbin, wants=(tokens - clusters) / tokens),
-        share(scores, dustbin),
+        sinkhorn_assign(scores, dustbin, wants=(tokens - clusters) / tokens),
+        sinkhorn_assign(scores, dustbin),
         rtol=1e-9,
         atol=1e-12,
     )
@@ -71,7 +71,7 @@ def test_a_dustbin_takes_the_share_it_wants(
 ) -> None:
     """However many tokens there are, fewer than clusters too, once the plan is finished."""
     scores = _scores(size, seed, scale=1.0)[:, :, :: 2 * times]
-    plan = share(scores, torch.tensor(1.0, dtype=torch.float64), wants=wants, iterations=1000)
+    plan = sinkhorn_assign(scores, torch.tensor(1.0, dtype=torch.float64), wants=wants, iterations=1000)
     due = plan.new_full(plan.shape[:2], (1 - wants) / scores.shape[1])
     due[:, -1] = wants
     torch.testing.assert_close(plan.mean(dim=2), due, rtol=0, atol=1e-8)
@@ -80,14 +80,14 @@ def test_a_dustbin_takes_the_share_it_wants(
 @quick
 @given(sizes, seeds)
 def test_every_token_has_mass_one_and_no_share_is_negative(size: tuple[int, int, int], seed: int) -> None:
-    plan = share(_scores(size, seed, scale=10).float(), torch.tensor(1.0))
+    plan = sinkhorn_assign(_scores(size, seed, scale=10).float(), torch.tensor(1.0))
     assert plan.dtype == torch.float32
     assert bool((plan >= 0).all())
     torch.testing.assert_close(plan.sum(dim=1), torch.ones(plan.shape[0], plan.shape[2]), rtol=0, atol=1e-5)
 
 
 def test_token_mass_is_exact_in_float64() -> None:
-    plan = share(_scores((2, 5, 9), 3), torch.tensor(1.0, dtype=torch.float64))
+    plan = sinkhorn_assign(_scores((2, 5, 9), 3), torch.tensor(1.0, dtype=torch.float64))
     torch.testing.assert_close(plan.sum(dim=1), torch.ones(2, 14, dtype=torch.float64), rtol=0, atol=1e-14)
 
 
@@ -98,8 +98,8 @@ def test_tokens_and_clusters_may_be_reordered(size: tuple[int, int, int], seed: 
     chance = np.random.default_rng(seed)
     tokens = torch.from_numpy(chance.permutation(scores.shape[2]))
     clusters = torch.from_numpy(chance.permutation(scores.shape[1]))
-    plan = share(scores, dustbin)
-    moved = share(scores[:, clusters][:, :, tokens], dustbin)
+    plan = sinkhorn_assign(scores, dustbin)
+    moved = sinkhorn_assign(scores[:, clusters][:, :, tokens], dustbin)
     rows = torch.cat([clusters, torch.tensor([scores.shape[1]])])
     torch.testing.assert_close(moved, plan[:, rows][:, :, tokens], rtol=1e-10, atol=1e-12)
 
@@ -109,7 +109,10 @@ def test_tokens_and_clusters_may_be_reordered(size: tuple[int, int, int], seed: 
 def test_a_constant_on_all_scores_changes_nothing(size: tuple[int, int, int], seed: int, more: float) -> None:
     scores, dustbin = _scores(size, seed), torch.tensor(1.0, dtype=torch.float64)
     torch.testing.assert_close(
-        share(scores + more, dustbin + more), share(scores, dustbin), rtol=1e-9, atol=1e-12
+        sinkhorn_assign(scores + more, dustbin + more),
+        sinkhorn_assign(scores, dustbin),
+        rtol=1e-9,
+        atol=1e-12,
     )
 
 
@@ -151,7 +154,7 @@ def test_sharp_scores_find_the_best_of_all_assignments(seed: int) -> None:
 
 def test_three_rounds_are_not_the_end() -> None:
     """The model's plan is an unfinished one: a cluster's mass is only near 1."""
-    plan = share(_scores((1, 6, 12), 0, scale=3.0), torch.tensor(1.0, dtype=torch.float64))
+    plan = sinkhorn_assign(_scores((1, 6, 12), 0, scale=3.0), torch.tensor(1.0, dtype=torch.float64))
     assert float((plan[0, :-1].sum(dim=1) - 1).abs().max()) > 1e-3
 
 
@@ -162,30 +165,30 @@ def test_the_first_round_absorbs_the_height_of_a_row(
 ) -> None:
     """Only what differs from token to token counts: so the dustbin's one number decides nothing by itself."""
     scores = _scores(size, seed)
-    plan = share(scores, torch.tensor(1.0, dtype=torch.float64))
-    other = share(scores, torch.tensor(1.0 + more, dtype=torch.float64))
+    plan = sinkhorn_assign(scores, torch.tensor(1.0, dtype=torch.float64))
+    other = sinkhorn_assign(scores, torch.tensor(1.0 + more, dtype=torch.float64))
     torch.testing.assert_close(other, plan, rtol=1e-9, atol=1e-12)
 
 
 def test_the_dustbin_takes_the_tokens_that_no_cluster_wants() -> None:
     scores = torch.full((1, 2, 6), -8.0, dtype=torch.float64)
     scores[0, 0, 1] = scores[0, 1, 4] = 8.0
-    taken = share(scores, torch.tensor(1.0, dtype=torch.float64))[0, -1]
+    taken = sinkhorn_assign(scores, torch.tensor(1.0, dtype=torch.float64))[0, -1]
     assert [bool(share > 0.9) for share in taken] == [True, False, True, True, False, True]
 
 
 def test_gradients_are_right() -> None:
     scores = _scores((2, 3, 4), 5).requires_grad_()
     dustbin = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(transport.share, (scores, dustbin))
+    assert torch.autograd.gradcheck(transport.sinkhorn_assign, (scores, dustbin))
 
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16, torch.float32])
 def test_it_is_computed_in_float32_whatever_autocast_says(dtype: torch.dtype) -> None:
     scores, dustbin = _scores((2, 6, 30), 2, scale=5.0).to(dtype), torch.tensor(1.0)
-    expected = transport.share(scores.float(), dustbin)
+    expected = transport.sinkhorn_assign(scores.float(), dustbin)
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        plan = share(scores, dustbin)
+        plan = sinkhorn_assign(scores, dustbin)
     assert plan.dtype == torch.float32
     torch.testing.assert_close(plan, expected, rtol=0, atol=0)
 
@@ -197,17 +200,21 @@ def test_too_few_tokens_name_the_smallest_side_that_works(clusters: int, stride:
     dustbin = torch.tensor(1.0)
     below, enough = ((side // stride - 1) ** 2, (side // stride) ** 2)
     with pytest.raises(TooFewTokensError, match=rf"at least {side} x {side} pixels"):
-        share(torch.zeros(1, clusters, below), dustbin, stride=stride)
-    assert share(torch.zeros(1, clusters, enough), dustbin, stride=stride).shape == (1, clusters + 1, enough)
+        sinkhorn_assign(torch.zeros(1, clusters, below), dustbin, stride=stride)
+    assert sinkhorn_assign(torch.zeros(1, clusters, enough), dustbin, stride=stride).shape == (
+        1,
+        clusters + 1,
+        enough,
+    )
 
 
 def test_as_many_tokens_as_clusters_is_too_few() -> None:
     with pytest.raises(TooFewTokensError, match="gives 9 tokens, but 9 clusters"):
-        share(torch.zeros(1, 9, 9), torch.tensor(1.0))
-    assert bool(share(torch.zeros(1, 9, 10), torch.tensor(1.0)).isfinite().all())
+        sinkhorn_assign(torch.zeros(1, 9, 9), torch.tensor(1.0))
+    assert bool(sinkhorn_assign(torch.zeros(1, 9, 10), torch.tensor(1.0)).isfinite().all())
 
 
 def test_extreme_scores_stay_finite() -> None:
     scores = torch.tensor([[[1e4, -1e4, 0.0, 1e4], [-1e4, -1e4, 1e4, 1e4]]])
-    plan = share(scores, torch.tensor(1.0))
+    plan = sinkhorn_assign(scores, torch.tensor(1.0))
     assert bool(plan.isfinite().all())

@@ -87,7 +87,11 @@ def _plain(field: dataclasses.Field[Any]) -> Any:
 
 def written() -> dict[str, Any]:
     """How each named aggregator is written down, wide and narrow; a setting that came later only where it is set."""
-    of = {f"{name} {width}": made(width) for width in (120, 768) for name, made in where.AGGREGATORS.items()}
+    of = {
+        f"{name} {width}": made
+        for width in (120, 768)
+        for name, made in where.compared_aggregators(width).items()
+    }
     of["later"] = where.SaladConfig(120, dustbin_share=0.35)
     by = where.Calibration(centred=True)
     return {

@@ -25,7 +25,7 @@ from salad.datasets.places import find_places
 from salad.errors import BenchmarkError
 from salad.evaluation.evaluate import rank as nearest
 from salad.models.fake import FakeDescriber
-from salad.network.aggregator_config import AGGREGATOR_KINDS, AGGREGATORS, SaladConfig
+from salad.network.aggregator_config import AGGREGATOR_KINDS, SaladConfig, compared_aggregators
 from salad.network.config import BACKBONE_KINDS, Calibration, LiteConfig, ModelConfig, Preprocessing
 from salad.search.base import ArrayRows as Held
 from salad.search.filters import Filter
@@ -39,7 +39,7 @@ RECORDED = Path(__file__).with_name("recorded")
 def shipped(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """The configuration of a model that ships, as JSON holds it, and its weights by their names."""
     model = salad.load(name)
-    return model.config.as_dict(), model.state_dict()
+    return model.config.as_dict(), model.network.state_dict()
 
 
 class Ran(NamedTuple):

@@ -11,18 +11,21 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from salad.errors import ModelError
-from salad.models.describer import Share, build
+from salad.models.describer import Describer, TokenAssignment
 from salad.models.fake import FakeDescriber
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import ModelConfig
+from salad.network.network import build
 from salad.report import explain
 
 GREY = (90, 100, 110)
 
 
-def share(dustbin: Any, cluster: Any = None) -> Share:
+def share(dustbin: Any, cluster: Any = None) -> TokenAssignment:
     took = np.asarray(dustbin, dtype=np.float32)
-    return Share(took, np.zeros(took.shape, dtype=np.int64) if cluster is None else np.asarray(cluster))
+    return TokenAssignment(
+        took, np.zeros(took.shape, dtype=np.int64) if cluster is None else np.asarray(cluster)
+    )
 
 
 @settings(max_examples=40, deadline=None)
@@ -93,7 +96,7 @@ def test_only_a_model_with_a_dustbin_shares() -> None:
     photo = Image.effect_noise((64, 64), 40).convert("RGB")
 
     class Pooled(FakeDescriber):
-        def share(self, photo: object) -> Share:
+        def token_assignment(self, photo: object) -> TokenAssignment:
             raise ModelError("the model has no dustbin")
 
     assert explain.share_of(FakeDescriber(), photo) is None
@@ -105,7 +108,7 @@ def test_a_real_head_shares_a_value_for_each_token() -> None:
 
     config: ModelConfig = PRESETS["salad-lite"].model
     assert isinstance(config.aggregator, SaladConfig)
-    found = explain.share_of(build(config), Image.effect_noise((90, 60), 60).convert("RGB"))
+    found = explain.share_of(Describer.of(build(config)), Image.effect_noise((90, 60), 60).convert("RGB"))
     assert found is not None
     assert found.dustbin.shape == found.cluster.shape == (20, 20)
     assert explain.dustbin_layer(found).size == (20, 20)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from salad.network.backbones.efficientnet import build_backbone
+from salad.network.backbones.base import build_backbone
 from salad.network.config import ViTConfig
 from salad.training.start import OF_THE_LAST_NORM
 

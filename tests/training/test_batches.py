@@ -13,10 +13,11 @@ import torch
 from salad.datasets.training_place import TrainingPlace, View
 from salad.errors import ModelError
 from salad.images.decode import decode
-from salad.models.describer import build
 from salad.network.config import ModelConfig
+from salad.network.network import build
 from salad.training.batches import BatchLoader, build_sampler, check_processes, count_steps
 from salad.training.recipe import Recipe
+from tiny_runs import images_of
 
 
 def _batches(
@@ -33,7 +34,7 @@ def test_mirrored_places_are_mirrored_before_anything_else(
     path = places[0].photos[0]
     views = [View(path, 0, mirrored, places[0]) for mirrored in (False, True)]
     plain, mirrored = batches.changed(views)
-    torch.testing.assert_close(plain, batches.model.prepare([path])[0])
+    torch.testing.assert_close(plain, images_of(batches.model, [path])[0])
     torch.testing.assert_close(mirrored, plain.flip(-1))
     batches.close()
 

@@ -11,10 +11,10 @@ import torch
 
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import BenchmarkError, ModelError
-from salad.models.describer import build
 from salad.models.model_folder import write_folder
 from salad.network.aggregator_config import RouteConfig
 from salad.network.config import ModelConfig
+from salad.network.network import build
 from salad.training import dry_run
 from salad.training.devices import launch_fabric
 from salad.training.dry_run import StepCost, measure_step

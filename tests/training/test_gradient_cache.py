@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch import nn
 
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.network.config import ModelConfig
+from salad.network.network import build
 from salad.network.tokens import Tokens
 from salad.training.devices import combined_seed, launch_fabric, rank_slice, step_seed
 from salad.training.gradient_cache import backward_in_parts
@@ -131,7 +132,7 @@ def test_tokens_are_parts_too(vit: ModelConfig) -> None:
     head = fabric.setup(model.aggregator)
     parts = [
         Tokens(patches, scene, tokens.grid, tokens.stride)
-        for patches, scene in zip(torch.split(tokens.patches, 4), torch.split(tokens.scene, 4), strict=True)
+        for patches, scene in zip(torch.split(tokens.patches, 4), torch.split(tokens.cls, 4), strict=True)
     ]
     backward_in_parts(fabric, head, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED)
     _close(_gradients(model), wanted, within=1e-5)

@@ -12,9 +12,9 @@ from torch import nn
 from torch.nn import functional as F
 
 from salad.errors import MissingExtraError, ModelError
-from salad.models.describer import build
 from salad.network.aggregator_config import GemConfig
 from salad.network.config import ModelConfig
+from salad.network.network import build
 from salad.training.optim import (
     build_optimizer,
     learning_rate_factor,

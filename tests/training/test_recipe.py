@@ -12,10 +12,10 @@ import torch
 
 import salad
 from salad.errors import ModelError
-from salad.models.describer import Describer
 from salad.network.aggregator_config import PRESETS as PAPERS_AGGREGATORS
 from salad.network.backbones.dinov2 import ViT
 from salad.network.config import VITS, ModelConfig
+from salad.network.network import Network
 from salad.training.augment import augmentation
 from salad.training.optim import build_optimizer, learning_rate_factor, multi_similarity
 from salad.training.recipe import PRESETS, Preset, Recipe, preset
@@ -81,7 +81,7 @@ def test_the_papers_rate_over_its_iterations() -> None:
 
 def test_the_papers_last_blocks_norm_and_aggregator_train_by_adamw() -> None:
     with torch.device("meta"):
-        model = Describer(PAPER.model)
+        model = Network(PAPER.model)
     model.backbone.train_last(PAPER.recipe.tuned_blocks)
     assert isinstance(model.backbone, ViT)
     trained = {name for name, weight in model.named_parameters() if weight.requires_grad}
@@ -97,8 +97,8 @@ def test_the_papers_last_blocks_norm_and_aggregator_train_by_adamw() -> None:
 def test_every_preset_is_a_model_whose_parts_fit(name: str) -> None:
     made = PRESETS[name]
     with torch.device("meta"):
-        model = Describer(made.model)
-    assert model.name == name.removesuffix("-whole")  # a second run of a model is still that model
+        model = Network(made.model)
+    assert model.config.name == name.removesuffix("-whole")  # a second run of a model is still that model
     model.backbone.train_last(made.recipe.tuned_blocks)
     assert ModelConfig.from_dict(made.model.as_dict()) == made.model
 
@@ -106,7 +106,7 @@ def test_every_preset_is_a_model_whose_parts_fit(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in PRESETS if name.endswith("-whole")])
 def test_a_second_run_goes_on_from_the_model_that_ships_and_trains_every_block(name: str) -> None:
     made = PRESETS[name]
-    model = salad.load(made.start)
+    model = salad.load(made.start).network
     assert model.config.backbone == made.model.backbone
     assert model.config.aggregator == made.model.aggregator
     assert made.recipe.head_steps == 0

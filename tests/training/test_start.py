@@ -12,10 +12,11 @@ import torch
 from safetensors.torch import save_file
 
 from salad.errors import FetchError, MissingExtraError, WeightsError
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.model_folder import load, write_folder
 from salad.network.aggregator_config import RouteConfig
 from salad.network.config import LiteKind, ModelConfig, ViTConfig
+from salad.network.network import build
 from salad.training import start as starting
 from salad.training.recipe import PRESETS
 from salad.training.start import imagenet, start_backbone

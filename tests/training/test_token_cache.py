@@ -14,13 +14,14 @@ import torch
 from safetensors.torch import load_file
 
 from salad.datasets.training_place import TrainingPlace, View
-from salad.models.describer import Describer, build
 from salad.network.backbones.dinov2 import ViT
 from salad.network.config import ModelConfig
+from salad.network.network import Network, build
 from salad.training.batches import BatchLoader, build_sampler
 from salad.training.devices import launch_fabric
 from salad.training.recipe import Recipe
 from salad.training.token_cache import TokenCache
+from tiny_runs import images_of
 
 Teach = Callable[..., Path]
 FROZEN: dict[str, Any] = {"tune_steps": 0, "head_steps": 4, "tuned_blocks": 0, "cache_versions": 2}
@@ -63,12 +64,12 @@ def test_what_is_kept_are_the_backbones_tokens(cache: TokenCache, places: list[T
     cache.batches.augment = torch.nn.Identity()
     kept = cache.kept(_view(places[0]), 0)
     with torch.no_grad():
-        tokens = cache.model.tokens(cache.model.prepare([places[0].photos[0]]))
+        tokens = cache.model.tokens(images_of(cache.model, [places[0].photos[0]]))
     assert {value.dtype for value in kept.values()} == {torch.float16}
     torch.testing.assert_close(kept["patches"].flatten(0, 1).float(), tokens.patches[0], rtol=1e-3, atol=1e-3)
-    torch.testing.assert_close(kept["scene"].float(), tokens.scene[0], rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(kept["scene"].float(), tokens.cls[0], rtol=1e-3, atol=1e-3)
     (part,) = cache.parts(0, [_view(places[0])] * 3)
-    assert (part.patches.shape, part.scene.shape) == ((3, 9, 16), (3, 16))
+    assert (part.patches.shape, part.cls.shape) == ((3, 9, 16), (3, 16))
     assert (part.grid, part.stride) == (tokens.grid, tokens.stride)
 
 
@@ -121,7 +122,7 @@ def test_another_content_is_another_photo(
 def test_what_else_decides_tokens_has_a_folder_of_its_own(
     cache: TokenCache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def folder(model: Describer, **settings: Any) -> Path:
+    def folder(model: Network, **settings: Any) -> Path:
         recipe = dataclasses.replace(cache.batches.recipe, **settings)
         batches = BatchLoader(
             model, recipe, cache.batches.places, sampler=cache.batches.sampler, fabric=cache.fabric
@@ -221,5 +222,5 @@ def test_parts_are_as_small_as_asked_for(cache: TokenCache, places: list[Trainin
     whole = cache.parts(0, batch)
     cache.batches.recipe = dataclasses.replace(cache.batches.recipe, at_once=4)
     parts = cache.parts(0, batch)
-    assert [len(part.scene) for part in parts] == [4, 2]
+    assert [len(part.cls) for part in parts] == [4, 2]
     np.testing.assert_array_equal(torch.cat([part.patches for part in parts]), whole[0].patches)

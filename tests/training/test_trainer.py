@@ -16,9 +16,10 @@ from safetensors.torch import load_file
 
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import BenchmarkError, MissingExtraError, ModelError, TrainingError
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.model_folder import load
 from salad.network.config import ModelConfig
+from salad.network.network import build
 from salad.training import trainer
 from salad.training.batches import ImageCache
 from salad.training.recipe import Recipe
@@ -95,7 +96,7 @@ def test_weights_are_kept_on_the_way_from_the_first_stage_to_the_second(teach: T
         seen[name] = []
 
         def judge(model: Describer) -> dict[str, float]:
-            seen[name].append({key: value.clone() for key, value in model.state_dict().items()})
+            seen[name].append({key: value.clone() for key, value in model.network.state_dict().items()})
             return {"mean": float(len(seen[name]))}
 
         teach(tmp_path / name, judge=judge, recipe={"tuned_share": share})

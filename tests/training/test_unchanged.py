@@ -14,18 +14,17 @@ import torch
 from salad.datasets.places import split
 from salad.datasets.samplers import MixedSampler
 from salad.datasets.training_place import TrainingPlace
-from salad.models.describer import Describer, build
 from salad.network.config import ModelConfig
+from salad.network.network import Network, build
 from salad.training.augment import augmentation
 from salad.training.optim import multi_similarity
 from salad.training.recipe import PRESETS, Recipe
+from tiny_runs import images_of
 
 Teach = Callable[..., Path]
 
 
-def _taught_plainly(
-    config: ModelConfig, places: list[TrainingPlace], recipe: Recipe
-) -> tuple[Describer, ...]:
+def _taught_plainly(config: ModelConfig, places: list[TrainingPlace], recipe: Recipe) -> tuple[Network, ...]:
     """Two stages: batches, augmentation, loss, AdamW, clipped at 1, and a running mean of the weights."""
     from lightning_fabric import Fabric
 
@@ -57,7 +56,7 @@ def _taught_plainly(
             batch = sampler.batch(step)
             torch.manual_seed(recipe.seed * 1_000_003 + step)
             module.train()
-            photos = model.prepare([view.path for view in batch]) * model.std + model.mean
+            photos = images_of(model, [view.path for view in batch]) * model.std + model.mean
             photos = (photos * 255).round() / 255
             mirrored = torch.tensor([view.mirrored for view in batch])[:, None, None, None]
             with torch.no_grad():

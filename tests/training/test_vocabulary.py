@@ -12,14 +12,16 @@ import pytest
 import torch
 
 from salad.errors import MissingExtraError, ModelError, PhotoError
-from salad.models.describer import Describer, PhotoLike, build
+from salad.models.describer import Describer, PhotoLike
 from salad.models.model_folder import load, write_folder
 from salad.network.aggregator_config import NetVladConfig, SceneConfig, VladConfig
 from salad.network.aggregators.netvlad import NetVlad
 from salad.network.aggregators.vlad import Vlad
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing
+from salad.network.network import Network, build
 from salad.training import vocabulary
 from salad.training.vocabulary import fit, needs_fitting, with_vocabulary
+from tiny_runs import images_of
 
 VLAD = ModelConfig("tiny", LiteConfig(blocks=3), VladConfig(24, clusters=4), Preprocessing(24, 32))
 NETVLAD = dataclasses.replace(VLAD, aggregator=NetVladConfig(24, clusters=4))
@@ -32,14 +34,14 @@ def _photo(seed: int) -> np.ndarray:
 PHOTOS = [_photo(seed) for seed in range(6)]  # 6 x 8 tokens each
 
 
-def _units(model: Describer, photos: Sequence[PhotoLike]) -> np.ndarray:
+def _units(model: Network, photos: Sequence[PhotoLike]) -> np.ndarray:
     """Every token of the photos, at length 1."""
     with torch.no_grad():
-        patches = model.tokens(model.prepare(photos)).patches.flatten(0, 1).double().numpy()
+        patches = model.tokens(images_of(model, photos)).patches.flatten(0, 1).double().numpy()
     return patches / np.linalg.norm(patches, axis=1, keepdims=True)
 
 
-def _vocabulary(model: Describer) -> np.ndarray:
+def _vocabulary(model: Network) -> np.ndarray:
     assert isinstance(model.aggregator, Vlad)
     return model.aggregator.vocabulary.numpy()
 
@@ -87,7 +89,12 @@ def test_the_same_seed_fits_the_same_and_disturbs_nobody() -> None:
 def test_no_more_photos_are_read_than_the_tokens_take(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vocabulary, "PER_PHOTO", 10)
     model, read, told = build(VLAD), list[int](), list[tuple[int, int | None]]()
-    model.prepare = lambda photos: (read.append(photos[0]), build(VLAD).prepare([_photo(photos[0])]))[1]
+
+    def squeezed(photo: int, _: Preprocessing) -> np.ndarray:
+        read.append(photo)
+        return _photo(photo)
+
+    monkeypatch.setattr("salad.models.describer.squeezed", squeezed)
     fit(model, list(range(50)), seed=0, tokens=35, progress=lambda *both: told.append(both))
     assert len(set(read)) == len(read) == 4
     assert told == [(10, 35), (20, 35), (30, 35), (35, 35)]
@@ -145,22 +152,22 @@ def test_a_fitted_model_stays_so_on_disk(config: ModelConfig, tmp_path: Path) ->
     assert needs_fitting(model.aggregator)
     fit(model, PHOTOS, seed=0)
     again = load(write_folder(model, tmp_path / "own"))
-    assert not needs_fitting(again)
+    assert not needs_fitting(again.network)
     assert again.fingerprint == model.fingerprint
-    np.testing.assert_allclose(again.describe(PHOTOS), model.describe(PHOTOS), atol=1e-6)
+    np.testing.assert_allclose(again.describe(PHOTOS), Describer.of(model).describe(PHOTOS), atol=1e-6)
 
 
 def test_anylocs_model_has_the_backbone_of_another_and_a_vocabulary() -> None:
     base = build(dataclasses.replace(VLAD, aggregator=SceneConfig(24), licence="CC0"))
     before = base.fingerprint
-    made = with_vocabulary(base, PHOTOS, clusters=3, seed=1)
+    made = with_vocabulary(Describer.of(base), PHOTOS, clusters=3, seed=1)
     assert made.config.aggregator == VladConfig(24, clusters=3)
-    assert (made.name, made.config.licence, made.calibration) == ("tiny-vlad", "CC0", None)
-    assert made.preprocessing == base.preprocessing
+    assert (made.config.name, made.config.licence, made.config.calibration) == ("tiny-vlad", "CC0", None)
+    assert made.config.preprocessing == base.config.preprocessing
     assert before in made.config.provenance
     assert base.fingerprint == before
     np.testing.assert_allclose(_units(made, PHOTOS), _units(base, PHOTOS), atol=1e-7)
-    rows = made.describe(PHOTOS)
+    rows = Describer.of(made).describe(PHOTOS)
     assert rows.shape == (6, 72)
     np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-5)
 
@@ -168,6 +175,6 @@ def test_anylocs_model_has_the_backbone_of_another_and_a_vocabulary() -> None:
 def test_without_the_extra_it_is_named_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
     model = build(VLAD)
-    model.prepare = lambda photos: pytest.fail("a photo was read")
+    monkeypatch.setattr("salad.models.describer.squeezed", lambda *_: pytest.fail("a photo was read"))
     with pytest.raises(MissingExtraError, match="fitting an aggregator to photos needs the 'train' extra"):
         fit(model, PHOTOS, seed=0)

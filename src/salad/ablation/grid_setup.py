@@ -11,12 +11,11 @@ import torch
 
 from salad.ablation.grids import ALL_BLOCKS, GridRow
 from salad.errors import ModelError, WeightsError
-from salad.models.describer import build
-from salad.models.model_folder import read_tensors
-from salad.network.aggregator_config import AGGREGATORS, for_grid
-from salad.network.backbones.efficientnet import build_backbone
-from salad.network.checkpoints import recognise
+from salad.network.aggregator_config import compared_aggregators
+from salad.network.backbones.base import build_backbone
+from salad.network.checkpoints import read_tensors, recognise
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
+from salad.network.network import build
 from salad.training.recipe import LITE_PHOTO, PRESETS, Preset, Recipe
 from salad.training.start import imagenet
 from salad.training.vocabulary import needs_fitting
@@ -109,14 +108,14 @@ def row_preset(setup: GridSetup, row: GridRow, *, seed: int) -> Preset:
     Raises:
         ModelError: If the row asks for an aggregator or for blocks that are not there.
     """
-    if row.aggregator not in AGGREGATORS:
-        raise ModelError(f"the row {row.name} asks for an aggregator {row.aggregator!r}, which there is not")
     with torch.device("meta"):
-        width = build_backbone(setup.backbone).width
+        compared = compared_aggregators(build_backbone(setup.backbone).width)
+    if row.aggregator not in compared:
+        raise ModelError(f"the row {row.name} asks for an aggregator {row.aggregator!r}, which there is not")
     config = ModelConfig(
         name=row.name,
         backbone=setup.backbone,
-        aggregator=replace(for_grid(AGGREGATORS[row.aggregator](width), setup.token_grid), **row.change),
+        aggregator=replace(compared[row.aggregator].for_grid(setup.token_grid), **row.change),
         preprocessing=setup.preprocessing,
     )
     blocks = setup.blocks if row.blocks == ALL_BLOCKS else row.blocks

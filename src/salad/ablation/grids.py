@@ -43,7 +43,7 @@ class GridRow:
     Args:
         name: names its folder and the row on the command line.
         title: what it is called in a table.
-        aggregator: a name in `AGGREGATORS`.
+        aggregator: a name in `compared_aggregators`.
         change: settings of that aggregator which are not its usual ones.
         blocks: the last blocks of the backbone that are trained; `ALL_BLOCKS` for every one.
         fewer_tokens: whether it is trained with smaller photos, and so with fewer tokens, than it is used with.

@@ -36,9 +36,10 @@ from salad.ablation.run_result import (
 )
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError
-from salad.models.describer import Describer, build
+from salad.models.describer import Describer
 from salad.models.model_folder import load, write_folder
 from salad.network.model_size import parameters
+from salad.network.network import Network, build
 from salad.training.batches import ImageCache
 from salad.training.checkpoint import CHECKPOINT, LOG, MODEL
 from salad.training.devices import versions
@@ -183,7 +184,7 @@ class GridRunner:
         result = RunResult(
             **run.identity,
             dim=model.dim,
-            parameters=count_parameters(model, run.preset),
+            parameters=count_parameters(model.network, run.preset),
             milliseconds=milliseconds_a_photo(model),
             held_out=self._precision_held_out(model, run.preset),
             benchmarks={name: self._evaluated(name, model) for name in self.benchmarks},
@@ -210,7 +211,7 @@ class GridRunner:
         if needs_fitting(model):
             photos = [photo for place in learn_from for photo in place.photos]
             fit(model, photos, seed=recipe.seed, passed_over=lambda error: self.say(str(error)))
-        write_folder(model, run.folder / MODEL, dtype=torch.float16, overwrite=True)
+        write_folder(model, run.folder / MODEL, dtype="float16", overwrite=True)
 
     def _precision_held_out(self, model: Describer, preset: Preset) -> dict[str, float]:
         _, choose_by = preset.recipe.split(self.places)
@@ -248,7 +249,7 @@ class GridRunner:
 # What a result says of a run besides what it recalls: how large, how fast, learnt from what, on which machine.
 
 
-def count_parameters(model: Describer, preset: Preset) -> dict[str, int]:
+def count_parameters(model: Network, preset: Preset) -> dict[str, int]:
     """All parameters, and those that were trained."""
     recipe, every = preset.recipe, parameters(model)
     if not recipe.head_steps + recipe.tune_steps:

@@ -11,7 +11,7 @@ from salad.errors import ModelError, SaladError
 
 if TYPE_CHECKING:
     from salad.index.index import Index
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 
 SHIPPED = "salad-lite"  # the model in the package, which needs no download
@@ -64,7 +64,7 @@ def model_of(folder: Path) -> str:
         )
 
 
-def opened(folder: Path, model: Describes) -> Index:
+def opened(folder: Path, model: DescriberLike) -> Index:
     """The index in a folder, made for the model where there is none yet."""
     from salad.index.index import Index as Opened
 

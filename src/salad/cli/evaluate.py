@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from salad.datasets.benchmark import Benchmark
     from salad.evaluation.result import Result
     from salad.images.photo import PhotoTable
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 
 # --- The benchmark that two folders and one rule make, for the commands that measure a model ---
@@ -186,7 +186,7 @@ class EvaluateCommand:
             result = with_leaks(result, benchmark)
         return self._shown(result, model)
 
-    def _shown(self, result: Result, model: Describes | None) -> int:
+    def _shown(self, result: Result, model: DescriberLike | None) -> int:
         self._write(result)
         if self.report is not None:
             from salad.report.evaluation_page import write_report
@@ -270,7 +270,7 @@ class EvaluateCommand:
         check_positions(positions, made)
         return made
 
-    def _saved(self, path: Path) -> tuple[Result, Describes | None]:
+    def _saved(self, path: Path) -> tuple[Result, DescriberLike | None]:
         """A result that was judged before, and the model it is of, where its heat maps are wanted."""
         from salad.evaluation.result import read_result
 
@@ -285,7 +285,7 @@ class EvaluateCommand:
         result = replace(result, folders=(str(self.references or references), str(self.queries or queries)))
         return result, self._same(result) if self.heat else None
 
-    def _same(self, result: Result) -> Describes:
+    def _same(self, result: Result) -> DescriberLike:
         from salad.models.model_folder import load
 
         model = load(self.model, device=self.device, heads=self.heads)
@@ -297,7 +297,7 @@ class EvaluateCommand:
             )
         return model
 
-    def _judged(self, benchmark: Benchmark) -> tuple[Result, Describes | None]:
+    def _judged(self, benchmark: Benchmark) -> tuple[Result, DescriberLike | None]:
         from salad.evaluation.evaluate import EvalSettings, evaluate, evaluate_descriptors, evaluate_rankings
 
         settings = EvalSettings(seed=self.seed)

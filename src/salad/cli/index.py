@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from salad.images.photo import PhotoTable
     from salad.index.build import Indexed
     from salad.index.index import Index
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 
 Exported = Annotated[Path | None, arg(name="from", metavar="DIR", help_behavior_hint="")]
@@ -72,7 +72,7 @@ class IndexCommand:
         return shell.FOUND if done.added or done.skipped else shell.BAD_INPUT
 
     def _describe(
-        self, paths: Sequence[Path], index: Index, model: Describes, table: PhotoTable | None
+        self, paths: Sequence[Path], index: Index, model: DescriberLike, table: PhotoTable | None
     ) -> Indexed:
         from salad.index.build import index_photos
 

@@ -18,7 +18,7 @@ from salad.report.strips import CaptionPart, Figure, Strip, Thumbnails
 
 if TYPE_CHECKING:
     from salad.index.index import Match
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 BEST = 3  # references shown beside a query
 # Pixels of photos' longer sides: twice of what the page shows, for fine screens.
@@ -26,7 +26,7 @@ QUERY_SIDE, REFERENCE_SIDE = 480, 320
 TINTS = 4  # of house roofs
 
 
-def write_demo_page(result: DemoResult, model: Describes | None = None) -> Path:
+def write_demo_page(result: DemoResult, model: DescriberLike | None = None) -> Path:
     """Write the page to `result.page`; an older one is replaced whole or not at all.
 
     Args:
@@ -42,7 +42,7 @@ def write_demo_page(result: DemoResult, model: Describes | None = None) -> Path:
     return result.page
 
 
-def draw_demo_page(result: DemoResult, model: Describes | None = None) -> str:
+def draw_demo_page(result: DemoResult, model: DescriberLike | None = None) -> str:
     """The page as text; `model` as for `write_demo_page`."""
     # The strips come first: they open the photos, and only then is it known what the dustbin takes of them.
     thumbnails = Thumbnails(model, clusters=True)

@@ -21,7 +21,7 @@ from salad.index.index import Index
 from salad.localize.locate import Answer, locate_many
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 
 MODEL = "salad-lite"  # it comes with the package: no download
@@ -36,7 +36,7 @@ def run_demo(
     seed: int = 7,
     references: int = 240,
     queries: int = 40,
-    model: Describes | None = None,
+    model: DescriberLike | None = None,
     say: Say = lambda _: None,
     progress: Progress | None = None,
 ) -> DemoResult:

@@ -32,7 +32,7 @@ from salad.images.photo import Photo, content_hash
 from salad.search.base import ArrayRows, Block, Numbers, Rows
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 Progress = Callable[[int, int], None]
 
@@ -43,7 +43,7 @@ _KEY = 16  # bytes that tell a photo's content
 
 def describe_sides(
     benchmark: Benchmark,
-    model: Describes,
+    model: DescriberLike,
     *,
     batch_size: int = 16,
     cache: Path | None = None,
@@ -81,7 +81,7 @@ def describe_sides(
     return sides[0], sides[1]
 
 
-def describe_batch(model: Describes, paths: Sequence[Path]) -> Float32[np.ndarray, "photos dim"]:
+def describe_batch(model: DescriberLike, paths: Sequence[Path]) -> Float32[np.ndarray, "photos dim"]:
     """Describe some photos at once, and see that these are descriptors.
 
     Raises:
@@ -119,7 +119,7 @@ class DescriptorCache:
         BenchmarkError: If the folder cannot be made or read.
     """
 
-    def __init__(self, folder: Path, model: Describes) -> None:
+    def __init__(self, folder: Path, model: DescriberLike) -> None:
         self._model = model
         # What another decoder made of a photo is another descriptor, and must not be found here.
         self._folder = folder / f"{model.fingerprint}-decoder{DECODER}"

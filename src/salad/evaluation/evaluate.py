@@ -34,7 +34,7 @@ from salad.search.exact import ExactSearcher
 from salad.search.hubness import Centred, mean_of_all
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 CENTRED = "scores leave out what all references have in common, as `salad locate` does with this model"
 NO_DESCRIPTOR = (
@@ -79,7 +79,7 @@ class EvalSettings:
 
 def evaluate(
     benchmark: Benchmark,
-    model: Describes,
+    model: DescriberLike,
     *,
     ks: Sequence[int] = KS,
     batch_size: int = 16,

@@ -32,7 +32,7 @@ from salad.index.index import Index
 from salad.index.index_folder import resolved
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 COMMIT_BATCHES = 8  # batches between commits: what a loss of power can cost
 _STALE = 1000  # photos to bring up to date in one commit
@@ -80,7 +80,7 @@ class _Item:
 def index_photos(
     sources: Sequence[Path],
     index: Index,
-    model: Describes,
+    model: DescriberLike,
     *,
     table: PhotoTable | None = None,
     batch_size: int = 16,
@@ -139,7 +139,7 @@ class _Run:
     """One run of `index_photos`: what is counted so far, and what waits for the next commit."""
 
     def __init__(
-        self, index: Index, model: Describes, total: int, progress: Callable[[int, int], None] | None
+        self, index: Index, model: DescriberLike, total: int, progress: Callable[[int, int], None] | None
     ) -> None:
         self.result = Indexed()
         self._index, self._model, self._total, self._progress = index, model, total, progress

@@ -33,7 +33,7 @@ from salad.search.filters import Filter
 from salad.search.hubness import Centred, Mean, mean_of_some
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 
 Floats = npt.NDArray[np.floating]
@@ -327,7 +327,7 @@ class Index:
         """
         return listing.pages(self._catalog, self._snapshot)
 
-    def check_model(self, model: Describes) -> None:
+    def check_model(self, model: DescriberLike) -> None:
         """Make sure that `model` is the one the index was made with.
 
         Raises:

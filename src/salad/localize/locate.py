@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from salad.index.index import Match
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
     from salad.network.config import Preprocessing
     from salad.search.filters import Filter
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class PhotoIndex(Protocol):
     """What `locate` asks of an index: `salad.Index`, or anything that answers the same two questions."""
 
-    def check_model(self, model: Describes) -> None:
+    def check_model(self, model: DescriberLike) -> None:
         """Make sure that `model` is the one the index was made with.
 
         Raises:
@@ -86,7 +86,7 @@ class Answer:
         }
 
 
-def calibration_of(model: Describes) -> Calibration:
+def calibration_of(model: DescriberLike) -> Calibration:
     """What the model's scores are worth; a generic guess where nobody has measured that."""
     # By name, since not every describer has one: the name is part of what a model offers, and must stay.
     own = getattr(model, "calibration", None)
@@ -97,7 +97,7 @@ def locate(
     query: str | Path,
     *,
     index: PhotoIndex,
-    model: Describes,
+    model: DescriberLike,
     k: int = 5,
     where: Filter | None = None,
     radius_m: float = RADIUS_M,
@@ -138,7 +138,7 @@ def locate_many(
     queries: Sequence[Path],
     *,
     index: PhotoIndex,
-    model: Describes,
+    model: DescriberLike,
     k: int = 5,
     where: Filter | None = None,
     radius_m: float = RADIUS_M,

@@ -24,7 +24,7 @@ def _small() -> Preprocessing:
 
 @dataclass(frozen=True)
 class FakeDescriber:
-    """Keeps the seam `Describes` without torch: a photo's thumbnail, projected at random, at length 1.
+    """Keeps the seam `DescriberLike` without torch: a photo's thumbnail, projected at random, at length 1.
 
     The same pixels always give the same descriptor, and photos that look alike from afar get descriptors
     close to each other. It recognises no place.

@@ -1,40 +1,135 @@
-"""The aggregator of the paper and the plain ones, as data; `rivals` holds what it is compared with."""
+"""Aggregators as data: what each is made of, which torch module it becomes, and the one table of them.
+
+Nothing here imports torch: a configuration names its module as a string, which is imported when one is built.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Literal, get_args
+from importlib.metadata import entry_points
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, get_args
 
 from salad.errors import ModelError
 
 Transport = Literal["sinkhorn", "softmax", "dual-softmax"]
+WIDE = 384
+"""Numbers in a token from which on an aggregator is compared at its paper's size; below, near salad-lite's."""
+ENTRY_POINTS = "salad.aggregators"
+"""Where installed packages name aggregators of their own: kind = "package.module:Config"."""
 
 
 @dataclass(frozen=True, slots=True)
-class SaladConfig:
+class AggregatorConfig:
+    """What the configuration of every aggregator is: a frozen dataclass whose fields stand in `config.json`.
+
+    The first field is `width`, the numbers in a token it takes, and the last one `kind`, its name in the table. What
+    only few aggregators need has a default here, so that one more is one file and one line in `AGGREGATOR_KINDS`;
+    docs/extending.md shows a whole one.
+
+    Attributes:
+        module: The torch module it becomes, "package.module:Class"; that takes the configuration alone.
+        paper: Whose it is.
+        later: Fields that came after the first models were published. At their default they are not written, so that a
+            model's configuration, and with it its fingerprint, is what it was. Their defaults must never change.
+
+    Raises:
+        ModelError: If a setting makes no sense; the sentence names it and says what to give.
+    """
+
+    module: ClassVar[str]
+    paper: ClassVar[str] = ""
+    later: ClassVar[tuple[str, ...]] = ()
+
+    if TYPE_CHECKING:  # at run time a property here would be taken for the default of the field of that name
+
+        @property
+        def width(self) -> int:
+            """Numbers in a token it takes."""
+            ...
+
+        @property
+        def kind(self) -> str:
+            """Its name in the table."""
+            ...
+
+    @property
+    def dim(self) -> int:
+        """Numbers in a descriptor."""
+        return self.width
+
+    @property
+    def has_plan(self) -> bool:
+        """Whether it shares tokens out by a plan whose columns sum to 1: its module has a method `plan` then."""
+        return False
+
+    @property
+    def no_dustbin(self) -> str:
+        """Why nothing can be said of what a dustbin took of a token; empty where it can."""
+        return "its aggregator is not SALAD"
+
+    def for_grid(self, grid: tuple[int, int]) -> Self:  # noqa: ARG002  # for those that mind
+        """The same aggregator for another grid of tokens, rows and columns: the photo's sides divided by the stride."""
+        return self
+
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """What of it is compared with other aggregators, by name, at a fair size for tokens of `width` numbers."""
+        config = cls(width)  # type: ignore[call-arg]  # each that inherits has the field
+        return {config.kind: config}
+
+    def as_settings(self) -> dict[str, Any]:
+        """This configuration as JSON holds it."""
+        settings = dataclasses.asdict(self)
+        for field in dataclasses.fields(self):
+            if field.name in self.later and settings[field.name] == field.default:
+                del settings[field.name]
+        return settings
+
+    @classmethod
+    def from_settings(cls, settings: dict[str, Any]) -> Self:
+        """Read what `as_settings` wrote.
+
+        Raises:
+            ModelError: If a setting makes no sense.
+            TypeError: If a setting is missing or unknown.
+        """
+        return cls(**settings)
+
+    def check_whole(self, *names: str, least: int = 1) -> None:
+        """Make sure that settings are whole numbers, none below `least`.
+
+        Raises:
+            ModelError: If one is not; the sentence names it.
+        """
+        for name in names:
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                raise ModelError(
+                    f"{name} of the {self.kind} aggregator is {value!r}: give a whole number, at least {least}"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class SaladConfig(AggregatorConfig):
     """The SALAD aggregator; letters are those of docs/method.md.
 
     Args:
-        width: numbers in a token it takes (d).
-        clusters: clusters that tokens are shared among (m), the dustbin not counted.
-        cluster_dim: numbers kept for a cluster (l).
-        scene_dim: numbers kept of the scene token (g); 0 leaves it out.
-        hidden: hidden width of its three perceptrons.
-        dropout: share of hidden numbers dropped in the score and feature perceptrons while training.
-        linear: width of a final linear layer, as MegaLoc has one; None for none.
-        dustbin: whether tokens may go to no cluster.
-        transport: how tokens are shared: by Sinkhorn's iteration, each by a softmax over the clusters, or by the
+        width: Numbers in a token it takes (d).
+        clusters: Clusters that tokens are shared among (m), the dustbin not counted.
+        cluster_dim: Numbers kept for a cluster (l).
+        scene_dim: Numbers kept of the cls token (g); 0 leaves it out.
+        hidden: Hidden width of its three perceptrons.
+        dropout: Fraction of hidden numbers dropped in the score and feature perceptrons while training.
+        linear: Width of a final linear layer, as MegaLoc has one; None for none.
+        dustbin: Whether tokens may go to no cluster.
+        transport: How tokens are assigned: by Sinkhorn's iteration, each by a softmax over the clusters, or by the
             product of that with a softmax over the tokens.
         iterations: Sinkhorn's rounds; the 3 belongs to published models.
-        dustbin_share: what the dustbin wants of all tokens, however many there are; None for the paper's n - m of n,
-            so that a larger photo loses a larger share.
-
-    Raises:
-        ModelError: one of the last four, or `scene_dim`, makes no sense.
+        dustbin_share: What the dustbin wants of all tokens, however many there are; None for the paper's n - m of n,
+            of which a larger photo loses more.
     """
 
     width: int
@@ -49,25 +144,25 @@ class SaladConfig:
     iterations: int = 3
     dustbin_share: float | None = None
     kind: Literal["salad"] = "salad"
+    module: ClassVar[str] = "salad.network.aggregators.salad:Salad"
+    paper: ClassVar[str] = "Izquierdo and Civera 2024"
+    later: ClassVar[tuple[str, ...]] = ("dustbin", "transport", "iterations", "dustbin_share")
 
     def __post_init__(self) -> None:
-        check_whole(self, "scene_dim", least=0)
-        check_whole(self, "iterations")
+        self.check_whole("scene_dim", least=0)
+        self.check_whole("iterations")
         if not isinstance(self.dustbin, bool):
             raise ModelError(f"dustbin of the salad aggregator is {self.dustbin!r}: give true or false")
         if self.transport not in get_args(Transport):
             raise ModelError(
                 f"transport {self.transport!r} is unknown: give one of {', '.join(get_args(Transport))}"
             )
-        self._check_dustbin_share()
-
-    def _check_dustbin_share(self) -> None:
-        share = self.dustbin_share
-        if share is None:
+        wanted = self.dustbin_share
+        if wanted is None:
             return
-        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 < share < 1:
+        if isinstance(wanted, bool) or not isinstance(wanted, int | float) or not 0 < wanted < 1:
             raise ModelError(
-                f"dustbin_share of the salad aggregator is {share!r}: give a share between 0 and 1"
+                f"dustbin_share of the salad aggregator is {wanted!r}: give a share between 0 and 1"
             )
         if not self.dustbin or self.transport != "sinkhorn":
             raise ModelError(
@@ -79,22 +174,51 @@ class SaladConfig:
         """Numbers in a descriptor."""
         return self.linear or self.scene_dim + self.clusters * self.cluster_dim
 
+    @property
+    def has_plan(self) -> bool:
+        """Not with a dual softmax, whose columns sum to less than 1."""
+        return self.transport != "dual-softmax"
+
+    @property
+    def no_dustbin(self) -> str:
+        """Why nothing can be said of what the dustbin took."""
+        if not self.dustbin:
+            return "it was made without one"
+        return "" if self.has_plan else "its dual softmax takes no share of a token"
+
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """SALAD, and what its paper's ablation takes away or puts in a place."""
+        whole = cls(width) if width >= WIDE else cls(width, cluster_dim=32, scene_dim=128, hidden=256)
+        return {
+            "salad": whole,
+            "salad-no-dustbin": dataclasses.replace(whole, dustbin=False),
+            "salad-no-scene": dataclasses.replace(whole, scene_dim=0),
+            "salad-softmax": dataclasses.replace(whole, transport="softmax"),
+            "salad-dual-softmax": dataclasses.replace(whole, transport="dual-softmax"),
+        }
+
+
+PRESETS: dict[str, SaladConfig] = {
+    "full": SaladConfig(width=768),
+    "medium": SaladConfig(width=768, clusters=32, cluster_dim=64, scene_dim=64),
+    "small": SaladConfig(width=768, clusters=16, cluster_dim=32, scene_dim=32),
+}
+"""The paper's three aggregators: 8448, 2112 and 544 numbers."""
+
 
 @dataclass(frozen=True, slots=True)
-class RouteConfig:
+class RouteConfig(AggregatorConfig):
     """SALAD's descriptor beside a coarse layout of the photo: for fixed viewpoints (routes, webcams, trains).
 
     Where the viewpoint changes, the layout is worse than none: never a default.
 
     Args:
-        width: numbers in a token it takes.
-        salad: the SALAD aggregator it builds on, of the same width.
-        grid: the layout has grid x grid cells.
-        cell_dim: numbers kept for a cell.
-        weight: of the layout beside the SALAD descriptor, both of length 1.
-
-    Raises:
-        ModelError: a number makes no sense, or the widths differ.
+        width: Numbers in a token it takes.
+        salad: The SALAD aggregator it builds on, of the same width.
+        grid: The layout has grid x grid cells.
+        cell_dim: Numbers kept for a cell.
+        weight: Of the layout beside the SALAD descriptor, both of length 1.
     """
 
     width: int
@@ -103,9 +227,11 @@ class RouteConfig:
     cell_dim: int = 32
     weight: float = 1.0
     kind: Literal["salad-route"] = "salad-route"
+    module: ClassVar[str] = "salad.network.aggregators.route:Route"
+    paper: ClassVar[str] = "ours"
 
     def __post_init__(self) -> None:
-        check_whole(self, "grid", "cell_dim")
+        self.check_whole("grid", "cell_dim")
         if not isinstance(self.weight, int | float) or not math.isfinite(self.weight) or self.weight < 0:
             raise ModelError(f"weight of the layout is {self.weight!r}: give a finite number, not below 0")
         if not isinstance(self.salad, SaladConfig) or self.salad.width != self.width:
@@ -118,124 +244,136 @@ class RouteConfig:
         """Numbers in a descriptor."""
         return self.salad.dim + self.grid**2 * self.cell_dim
 
+    @property
+    def has_plan(self) -> bool:
+        """As the SALAD inside."""
+        return self.salad.has_plan
+
+    @property
+    def no_dustbin(self) -> str:
+        """As the SALAD inside."""
+        return self.salad.no_dustbin
+
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """SALAD as it is compared, beside a layout."""
+        salad = SaladConfig.compared(width)["salad"]
+        return {"salad-route": cls(width, salad, cell_dim=64 if width >= WIDE else 32)}
+
+    def as_settings(self) -> dict[str, Any]:
+        """This configuration as JSON holds it."""
+        settings = dataclasses.asdict(self)
+        # Routes were first written when SALAD had the other later fields already: of those inside, this one alone
+        # came after.
+        if self.salad.dustbin_share is None:
+            del settings["salad"]["dustbin_share"]
+        return settings
+
+    @classmethod
+    def from_settings(cls, settings: dict[str, Any]) -> Self:
+        """Read what `as_settings` wrote."""
+        return cls(**{**settings, "salad": SaladConfig(**settings["salad"])})
+
 
 @dataclass(frozen=True, slots=True)
-class SceneConfig:
-    """The scene token alone, L2-normalised: what a bare backbone says of a photo."""
+class SceneConfig(AggregatorConfig):
+    """The cls token alone, L2-normalised: what a bare backbone says of a photo."""
 
     width: int
     kind: Literal["scene"] = "scene"
+    module: ClassVar[str] = "salad.network.aggregators.pooling:Scene"
+    paper: ClassVar[str] = "Oquab et al. 2023 (DINOv2)"
 
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.width
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """Under the name the field has for it."""
+        return {"class-token": cls(width)}
 
 
 @dataclass(frozen=True, slots=True)
-class AverageConfig:
+class AverageConfig(AggregatorConfig):
     """The mean of the patches, L2-normalised, without weights."""
 
     width: int
     kind: Literal["average"] = "average"
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.width
+    module: ClassVar[str] = "salad.network.aggregators.pooling:Average"
 
 
 @dataclass(frozen=True, slots=True)
-class GemConfig:
+class GemConfig(AggregatorConfig):
     """Generalised mean of the tokens: the plain baseline, without weights or with its power learnt.
 
     Args:
-        width: numbers in a token it takes.
-        power: the mean's; where it is learnt, its start.
-        learned: whether the power is a weight.
+        width: Numbers in a token it takes.
+        power: The mean's; where it is learnt, its start.
+        learned: Whether the power is a weight.
     """
 
     width: int
     power: float = 3.0
     learned: bool = False
     kind: Literal["gem"] = "gem"
+    module: ClassVar[str] = "salad.network.aggregators.pooling:Gem"
+    paper: ClassVar[str] = "Radenović et al. 2018"
+    later: ClassVar[tuple[str, ...]] = ("learned",)
 
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.width
-
-
-def check_whole(config: Any, *names: str, least: int = 1) -> None:
-    """Make sure that settings of an aggregator are whole numbers, none below `least`.
-
-    Raises:
-        ModelError: one is not; the sentence names it.
-    """
-    for name in names:
-        value = getattr(config, name)
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            raise ModelError(
-                f"{name} of the {config.kind} aggregator is {value!r}: give a whole number, at least {least}"
-            )
-
-
-PRESETS: dict[str, SaladConfig] = {
-    "full": SaladConfig(width=768),
-    "medium": SaladConfig(width=768, clusters=32, cluster_dim=64, scene_dim=64),
-    "small": SaladConfig(width=768, clusters=16, cluster_dim=32, scene_dim=32),
-}
-"""The paper's three aggregators: 8448, 2112 and 544 numbers."""
-
-
-# --- The aggregators that SALAD is compared with, as data; model/aggregators/ tells how each works, and whose it is ---
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """With its power learnt, as its paper has it."""
+        return {"gem": cls(width, learned=True)}
 
 
 @dataclass(frozen=True, slots=True)
-class NetVladConfig:
+class NetVladConfig(AggregatorConfig):
     """NetVLAD: residuals to centroids, softly assigned.
 
     Args:
-        width: numbers in a token it takes.
-        clusters: how many centroids.
-        linear: width of a final linear layer; None for none.
-
-    Raises:
-        ModelError: a number is below 1.
+        width: Numbers in a token it takes.
+        clusters: How many centroids.
+        linear: Width of a final linear layer; None for none.
     """
 
     width: int
     clusters: int = 32
     linear: int | None = None
     kind: Literal["netvlad"] = "netvlad"
+    module: ClassVar[str] = "salad.network.aggregators.netvlad:NetVlad"
+    paper: ClassVar[str] = "Arandjelović et al. 2016"
 
     def __post_init__(self) -> None:
-        check_whole(self, "width", "clusters", *(["linear"] if self.linear is not None else []))
+        self.check_whole("width", "clusters", *(["linear"] if self.linear is not None else []))
 
     @property
     def dim(self) -> int:
         """Numbers in a descriptor."""
         return self.linear or self.clusters * self.width
 
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """As it is, and with a linear layer that brings it to SALAD's length."""
+        return {
+            "netvlad": cls(width),
+            "netvlad-linear": cls(width, linear=8192 if width >= WIDE else 2048),
+        }
+
 
 @dataclass(frozen=True, slots=True)
-class VladConfig:
+class VladConfig(AggregatorConfig):
     """VLAD without training, as AnyLoc uses it: residuals to a vocabulary, each token assigned to one word.
 
     Args:
-        width: numbers in a token it takes.
-        clusters: words of the vocabulary.
-
-    Raises:
-        ModelError: a number is below 1.
+        width: Numbers in a token it takes.
+        clusters: Words of the vocabulary.
     """
 
     width: int
     clusters: int = 32
     kind: Literal["vlad"] = "vlad"
+    module: ClassVar[str] = "salad.network.aggregators.vlad:Vlad"
+    paper: ClassVar[str] = "Keetha et al. 2023 (AnyLoc)"
 
     def __post_init__(self) -> None:
-        check_whole(self, "width", "clusters")
+        self.check_whole("width", "clusters")
 
     @property
     def dim(self) -> int:
@@ -244,19 +382,16 @@ class VladConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class MixVprConfig:
+class MixVprConfig(AggregatorConfig):
     """MixVPR: perceptrons across the cells of the grid, one channel at a time.
 
     Args:
-        width: numbers in a token it takes.
-        grid: rows and columns of tokens; its weights fit no other grid.
-        depth: how many mixers.
-        ratio: their hidden width, as a multiple of the cells.
-        channels: channels kept.
-        rows: numbers kept for a channel.
-
-    Raises:
-        ModelError: a number is below 1, or the grid is no pair.
+        width: Numbers in a token it takes.
+        grid: Rows and columns of tokens; its weights fit no other grid.
+        depth: How many mixers.
+        ratio: Their hidden width, as a multiple of the cells.
+        channels: Channels kept.
+        rows: Numbers kept for a channel.
     """
 
     width: int
@@ -266,9 +401,11 @@ class MixVprConfig:
     channels: int = 1024
     rows: int = 4
     kind: Literal["mixvpr"] = "mixvpr"
+    module: ClassVar[str] = "salad.network.aggregators.mixvpr:MixVpr"
+    paper: ClassVar[str] = "Ali-bey et al. 2023"
 
     def __post_init__(self) -> None:
-        check_whole(self, "width", "depth", "ratio", "channels", "rows")
+        self.check_whole("width", "depth", "ratio", "channels", "rows")
         object.__setattr__(self, "grid", _pair(self.grid, self.kind))  # JSON knows lists alone
 
     @property
@@ -276,27 +413,35 @@ class MixVprConfig:
         """Numbers in a descriptor."""
         return self.channels * self.rows
 
+    def for_grid(self, grid: tuple[int, int]) -> Self:
+        """Mixers for these cells."""
+        return dataclasses.replace(self, grid=grid)
+
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """For DINOv2's 322 pixels where tokens are wide."""
+        return {"mixvpr": cls(width, grid=(23, 23)) if width >= WIDE else cls(width, channels=512)}
+
 
 @dataclass(frozen=True, slots=True)
-class ConvApConfig:
+class ConvApConfig(AggregatorConfig):
     """Conv-AP: channels mixed token by token, then averaged over the cells of a coarse grid.
 
     Args:
-        width: numbers in a token it takes.
-        channels: channels kept.
-        grid: rows and columns of the averages.
-
-    Raises:
-        ModelError: a number is below 1, or the grid is no pair.
+        width: Numbers in a token it takes.
+        channels: Channels kept.
+        grid: Rows and columns of the averages.
     """
 
     width: int
     channels: int = 2048
     grid: tuple[int, int] = (2, 2)
     kind: Literal["conv-ap"] = "conv-ap"
+    module: ClassVar[str] = "salad.network.aggregators.convap:ConvAp"
+    paper: ClassVar[str] = "Ali-bey et al. 2022"
 
     def __post_init__(self) -> None:
-        check_whole(self, "width", "channels")
+        self.check_whole("width", "channels")
         object.__setattr__(self, "grid", _pair(self.grid, self.kind))
 
     @property
@@ -304,48 +449,54 @@ class ConvApConfig:
         """Numbers in a descriptor."""
         return self.channels * self.grid[0] * self.grid[1]
 
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """Of 8,192 or 2,048 numbers."""
+        return {"conv-ap": cls(width, channels=2048 if width >= WIDE else 512)}
+
 
 @dataclass(frozen=True, slots=True)
-class CosPlaceConfig:
+class CosPlaceConfig(AggregatorConfig):
     """CosPlace: a generalised mean with a learnt power, then a linear layer.
 
     Args:
-        width: numbers in a token it takes.
-        linear: numbers in a descriptor.
-        power: where the mean's power starts.
-
-    Raises:
-        ModelError: a number is below 1.
+        width: Numbers in a token it takes.
+        linear: Numbers in a descriptor.
+        power: Where the mean's power starts.
     """
 
     width: int
     linear: int = 2048
     power: float = 3.0
     kind: Literal["cosplace"] = "cosplace"
+    module: ClassVar[str] = "salad.network.aggregators.cosplace:CosPlace"
+    paper: ClassVar[str] = "Berton et al. 2022"
 
     def __post_init__(self) -> None:
-        check_whole(self, "width", "linear")
+        self.check_whole("width", "linear")
 
     @property
     def dim(self) -> int:
         """Numbers in a descriptor."""
         return self.linear
 
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """Of 2,048 or 512 numbers."""
+        return {"cosplace": cls(width, linear=2048 if width >= WIDE else 512)}
+
 
 @dataclass(frozen=True, slots=True)
-class BoqConfig:
+class BoqConfig(AggregatorConfig):
     """BoQ, a bag of queries: learnt queries look at the tokens, after each of a few encoder layers.
 
     Args:
-        width: numbers in a token it takes.
-        channels: numbers in a token inside.
-        queries: learnt queries of a block.
-        blocks: how many blocks.
-        rows: numbers kept for a channel.
-        heads: attention heads, which divide the channels.
-
-    Raises:
-        ModelError: a number is below 1, or the heads do not divide the channels.
+        width: Numbers in a token it takes.
+        channels: Numbers in a token inside.
+        queries: Learnt queries of a block.
+        blocks: How many blocks.
+        rows: Numbers kept for a channel.
+        heads: Attention heads, which divide the channels.
     """
 
     width: int
@@ -355,9 +506,11 @@ class BoqConfig:
     rows: int = 32
     heads: int = 6
     kind: Literal["boq"] = "boq"
+    module: ClassVar[str] = "salad.network.aggregators.boq:Boq"
+    paper: ClassVar[str] = "Ali-bey et al. 2024"
 
     def __post_init__(self) -> None:
-        check_whole(self, "width", "channels", "queries", "blocks", "rows", "heads")
+        self.check_whole("width", "channels", "queries", "blocks", "rows", "heads")
         if self.channels % self.heads:
             raise ModelError(
                 f"{self.heads} heads do not divide {self.channels} channels of the boq aggregator"
@@ -367,6 +520,13 @@ class BoqConfig:
     def dim(self) -> int:
         """Numbers in a descriptor."""
         return self.channels * self.rows
+
+    @classmethod
+    def compared(cls, width: int) -> dict[str, Self]:
+        """As its paper has it, or a third as wide."""
+        return {
+            "boq": cls(width) if width >= WIDE else cls(width, channels=128, queries=32, rows=16, heads=2)
+        }
 
 
 def _pair(grid: object, kind: str) -> tuple[int, int]:
@@ -378,135 +538,66 @@ def _pair(grid: object, kind: str) -> tuple[int, int]:
     return sides
 
 
-# --- Every aggregator there is: by kind, as JSON names them, and by name, as they are compared ---
-
-
-AggregatorConfig = (
-    SaladConfig
-    | SceneConfig
-    | GemConfig
-    | AverageConfig
-    | NetVladConfig
-    | VladConfig
-    | MixVprConfig
-    | ConvApConfig
-    | CosPlaceConfig
-    | BoqConfig
-    | RouteConfig
-)
-
-AGGREGATOR_KINDS: dict[str, Any] = {
+AGGREGATOR_KINDS: dict[str, type[AggregatorConfig] | str] = {
     "salad": SaladConfig,
-    "scene": SceneConfig,
+    "netvlad": NetVladConfig,
     "gem": GemConfig,
     "average": AverageConfig,
-    "netvlad": NetVladConfig,
-    "vlad": VladConfig,
+    "scene": SceneConfig,
     "mixvpr": MixVprConfig,
     "conv-ap": ConvApConfig,
     "cosplace": CosPlaceConfig,
     "boq": BoqConfig,
+    "vlad": VladConfig,
     "salad-route": RouteConfig,
 }
+"""Every aggregator by its kind: a configuration, or where one is ("package.module:Config"), imported when asked for."""
 
-WIDE = (
-    384  # numbers in a token from which on an aggregator has its paper's size; below, one near salad-lite's
-)
-
-
-def _salad(width: int, **change: Any) -> SaladConfig:
-    paper = SaladConfig(width)
-    fair = paper if width >= WIDE else dataclasses.replace(paper, cluster_dim=32, scene_dim=128, hidden=256)
-    return dataclasses.replace(fair, **change)
+Config = TypeVar("Config", bound=AggregatorConfig)
 
 
-def _netvlad_linear(width: int) -> NetVladConfig:
-    return NetVladConfig(width, linear=8192 if width >= WIDE else 2048)
+def register_aggregator(config: type[Config]) -> type[Config]:
+    """Make one more aggregator known to this process, under the `kind` its configuration has by default.
 
-
-def _mixvpr(width: int) -> MixVprConfig:
-    return MixVprConfig(width, grid=(23, 23)) if width >= WIDE else MixVprConfig(width, channels=512)
-
-
-def _conv_ap(width: int) -> ConvApConfig:
-    return ConvApConfig(width, channels=2048 if width >= WIDE else 512)
-
-
-def _cosplace(width: int) -> CosPlaceConfig:
-    return CosPlaceConfig(width, linear=2048 if width >= WIDE else 512)
-
-
-def _boq(width: int) -> BoqConfig:
-    return BoqConfig(width) if width >= WIDE else BoqConfig(width, channels=128, queries=32, rows=16, heads=2)
-
-
-def _route(width: int) -> RouteConfig:
-    return RouteConfig(width, salad=_salad(width), cell_dim=64 if width >= WIDE else 32)
-
-
-AGGREGATORS: dict[str, Callable[[int], AggregatorConfig]] = {
-    "salad": _salad,
-    "salad-no-dustbin": partial(_salad, dustbin=False),
-    "salad-no-scene": partial(_salad, scene_dim=0),
-    "salad-softmax": partial(_salad, transport="softmax"),
-    "salad-dual-softmax": partial(_salad, transport="dual-softmax"),
-    "netvlad": NetVladConfig,
-    "netvlad-linear": _netvlad_linear,
-    "gem": partial(GemConfig, learned=True),
-    "average": AverageConfig,
-    "class-token": SceneConfig,
-    "mixvpr": _mixvpr,
-    "conv-ap": _conv_ap,
-    "cosplace": _cosplace,
-    "boq": _boq,
-    "vlad": VladConfig,
-    "salad-route": _route,
-}
-"""What is compared: from the width of a token to a configuration of a fair size."""
-
-# Settings that came after the first models were published. At their default they are not written, so that a
-# model's configuration, and with it its fingerprint, is what it was. Their defaults must never change.
-LATER: dict[str, tuple[str, ...]] = {
-    "salad": ("dustbin", "transport", "iterations", "dustbin_share"),
-    "gem": ("learned",),
-}
-
-
-def for_grid(config: AggregatorConfig, grid: tuple[int, int]) -> AggregatorConfig:
-    """The same aggregator for another grid of tokens, which few mind.
-
-    Args:
-        config: any aggregator's.
-        grid: rows and columns of the tokens it will take: the photo's sides divided by the stride.
-    """
-    return dataclasses.replace(config, grid=grid) if isinstance(config, MixVprConfig) else config
-
-
-def as_settings(config: AggregatorConfig) -> dict[str, Any]:
-    """An aggregator's configuration as JSON holds it."""
-    settings = dataclasses.asdict(config)
-    defaults = {field.name: field.default for field in dataclasses.fields(config)}
-    for name in LATER.get(config.kind, ()):
-        if settings[name] == defaults[name]:
-            del settings[name]
-    if isinstance(config, RouteConfig) and config.salad.dustbin_share is None:
-        del settings["salad"]["dustbin_share"]  # of the one inside, the first of them that came after it
-    return settings
-
-
-def from_settings(settings: dict[str, Any]) -> AggregatorConfig:
-    """Read what `as_settings` wrote.
+    An installed package does without: it names its aggregators in the entry points `salad.aggregators`.
 
     Raises:
-        ModelError: a setting makes no sense.
-        ValueError: the kind is unknown.
-        TypeError: a setting is missing or unknown.
+        ModelError: If another aggregator has that kind.
     """
-    config: AggregatorConfig
-    kind = settings.get("kind")
-    if kind not in AGGREGATOR_KINDS:
-        raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(AGGREGATOR_KINDS)}")
-    if kind == "salad-route":
-        settings = {**settings, "salad": SaladConfig(**settings["salad"])}
-    config = AGGREGATOR_KINDS[kind](**settings)
+    kind = next(str(field.default) for field in dataclasses.fields(config) if field.name == "kind")
+    if AGGREGATOR_KINDS.setdefault(kind, config) is not config:
+        raise ModelError(
+            f"there is an aggregator of kind {kind!r} already: give {config.__name__} another kind"
+        )
     return config
+
+
+def aggregator_kind(kind: object) -> type[AggregatorConfig]:
+    """The configuration of a kind of aggregator.
+
+    Raises:
+        ValueError: If the kind is unknown.
+        ModelError: If it is known, but the package that has it cannot be imported.
+    """
+    known = _known()
+    if kind not in known:
+        raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(known)}")
+    config = known[str(kind)]
+    if not isinstance(config, str):
+        return config
+    try:
+        made: type[AggregatorConfig] = resolve_name(config)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ModelError(f"the aggregator {kind!r} is {config}, which cannot be imported: {error}") from error
+    return made
+
+
+def compared_aggregators(width: int) -> dict[str, AggregatorConfig]:
+    """Every aggregator that is compared, by name, at a fair size for tokens of `width` numbers."""
+    return {name: one for kind in _known() for name, one in aggregator_kind(kind).compared(width).items()}
+
+
+def _known() -> dict[str, type[AggregatorConfig] | str]:
+    """The table, and what installed packages add to it; their entry points are read anew, which takes milliseconds."""
+    installed = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    return {**installed, **AGGREGATOR_KINDS}

@@ -11,15 +11,18 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor
 
 from salad.errors import ModelError, WeightsError
-from salad.models.describer import Describer, build
 from salad.network.aggregator_config import AggregatorConfig, SaladConfig, SceneConfig
-from salad.network.config import ViTConfig
+from salad.network.config import ModelConfig, ViTConfig
+from salad.network.network import Network, build, load_weights
 
 HEAD_WIDTH = 64  # numbers a head has in every published DINOv2
 UNUSED = "backbone.mask_token"  # DINOv2's pretraining alone needs it
@@ -42,6 +45,54 @@ class Published(NamedTuple):
     backbone: ViTConfig
     aggregator: AggregatorConfig
     weights: Weights
+
+
+def read_published(path: Path, *, heads: int | None = None, name: str | None = None) -> Network:
+    """A model in one of the published layouts, read strictly.
+
+    Args:
+        path: The file.
+        heads: Attention heads, which no tensor tells; width / 64 where not given.
+        name: What to call the model; the file's name where not given.
+
+    Raises:
+        WeightsError: If the file is not of a layout known here, or lacks or adds a tensor; the message lists them.
+    """
+    tensors = read_tensors(path)
+    try:
+        found = recognise(tensors, heads=heads)
+    except WeightsError as error:
+        raise WeightsError(f"{path}: {error}") from error
+    config = ModelConfig(
+        name=name or path.stem,
+        backbone=found.backbone,
+        aggregator=found.aggregator,
+        provenance=f"{path.name}, layout {found.layout}",
+    )
+    return load_weights(config, found.weights, source=path)
+
+
+def read_tensors(path: Path) -> Mapping[str, Tensor]:
+    """The named tensors of a foreign file; whatever it holds, no code of it runs.
+
+    Raises:
+        WeightsError: If it cannot be read safely, or holds something else than tensors.
+    """
+    if path.suffix == ".safetensors":
+        try:
+            return load_file(path)
+        except (SafetensorError, OSError) as error:
+            raise WeightsError(f"{path} is no safetensors file that can be read: {error}") from error
+    try:
+        raw: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a foreign pickle may fail in any way; none may run code
+        raise WeightsError(
+            f"{path} is no file of weights that can be read safely ({type(error).__name__})"
+        ) from error
+    raw = raw.get("state_dict", raw) if isinstance(raw, Mapping) else raw
+    if not isinstance(raw, Mapping) or not all(isinstance(value, Tensor) for value in raw.values()):
+        raise WeightsError(f"{path} holds something else than named tensors")
+    return {str(key): value for key, value in raw.items()}
 
 
 def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Published:
@@ -135,33 +186,35 @@ def _salad(weights: Weights) -> SaladConfig:
 _ALIKE = ("backbone", "aggregator", "preprocessing")
 
 
-def mean(models: Sequence[Describer]) -> Describer:
+def mean(models: Sequence[Network]) -> Network:
     """Average models of one architecture; what is counted, not weighed, is the first's.
 
     The mean bears the first one's name, and no calibration: that was of other scores.
 
     Args:
-        models: two or more; they stay as they are.
+        models: Two or more; they stay as they are.
 
     Raises:
-        ModelError: there are fewer than two, or they are not built alike.
+        ModelError: If there are fewer than two, or they are not built alike.
     """
     if len(models) < 2:  # a mean of one is that one
         raise ModelError(f"a mean takes two models or more, not {len(models)}: name the others too")
-    first = models[0]
-    for other in models[1:]:
+    names = [f"{model.config.name} ({model.fingerprint})" for model in models]
+    first = models[0].config
+    for other, name in zip(models, names, strict=True):
         for part in _ALIKE:
-            if getattr(other.config, part) != getattr(first.config, part):
+            if getattr(other.config, part) != getattr(first, part):
                 raise ModelError(
-                    f"{first.name} ({first.fingerprint}) and {other.name} ({other.fingerprint}) differ in their "
-                    f"{part}, so their weights have no mean: give models built alike"
+                    f"{names[0]} and {name} differ in their {part}, so their weights have no mean: give models "
+                    "built alike"
                 )
-    told = ", ".join(f"{model.name} ({model.fingerprint})" for model in models)
-    made = build(dataclasses.replace(first.config, provenance=f"the mean of {told}", calibration=None))
+    averaged = build(
+        dataclasses.replace(first, provenance=f"the mean of {', '.join(names)}", calibration=None)
+    )
     states = [model.state_dict() for model in models]
-    for name, weight in made.state_dict().items():
+    for key, weight in averaged.state_dict().items():
         if weight.is_floating_point():
-            weight.copy_(torch.stack([state[name].to("cpu", torch.float64) for state in states]).mean(dim=0))
+            weight.copy_(torch.stack([state[key].to("cpu", torch.float64) for state in states]).mean(dim=0))
         else:  # a batch norm counts its batches too
-            weight.copy_(states[0][name])
-    return made
+            weight.copy_(states[0][key])
+    return averaged

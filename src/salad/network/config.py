@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from salad.errors import ModelError
-from salad.network.aggregator_config import AggregatorConfig, as_settings, from_settings
+from salad.network.aggregator_config import AggregatorConfig, aggregator_kind
 
 # --- What cuts a photo into tokens, as data ---
 
@@ -39,6 +42,7 @@ class ViTConfig:
     registers: int = 0
     swiglu: bool = False
     kind: Literal["vit"] = "vit"
+    module: ClassVar[str] = "salad.network.backbones.dinov2:ViT"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +54,7 @@ class LiteConfig:
 
     blocks: int = 11
     kind: LiteKind = "lite0"
+    module: ClassVar[str] = "salad.network.backbones.efficientnet:Lite"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +67,7 @@ class ResNetConfig:
 
     stages: int = 3
     kind: Literal["resnet50"] = "resnet50"
+    module: ClassVar[str] = "salad.network.backbones.resnet_convnext:ResNet"
 
     def __post_init__(self) -> None:
         _check_stages("ResNet-50", self.stages)
@@ -78,6 +84,7 @@ class ConvNextConfig:
     size: ConvNextSize = "tiny"
     stages: int = 3
     kind: Literal["convnext"] = "convnext"
+    module: ClassVar[str] = "salad.network.backbones.resnet_convnext:ConvNext"
 
     def __post_init__(self) -> None:
         _check_stages("ConvNeXt", self.stages)
@@ -111,6 +118,8 @@ VITS: dict[str, ViTConfig] = {
 """DINOv2's four sizes."""
 
 
+Output = Literal["descriptor", "patches", "cls", "plan"]
+"""What a model gives: see `salad.models.engines`."""
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 Resample = Literal["bilinear", "bicubic"]
@@ -224,9 +233,31 @@ class ModelConfig:
     licence: str = ""
     calibration: Calibration | None = None
 
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """What an engine of this model can be asked for."""
+        return ("descriptor", "patches", "cls", *(("plan",) if self.aggregator.has_plan else ()))
+
+    def fingerprint(self, weights: Mapping[str, Any]) -> str:
+        """What tells this model with these weights from every other, as indexes keep it: 16 hexadecimal digits.
+
+        Weights count in float32, whatever they are stored as, and integers in 64 bits; names, licence and calibration
+        do not count.
+
+        Args:
+            weights: Arrays under their serialised names.
+        """
+        settings = self.as_dict()
+        counted = {part: settings[part] for part in ("backbone", "aggregator", "preprocessing")}
+        digest = hashlib.sha256(json.dumps(counted, sort_keys=True).encode())
+        for key, value in sorted(weights.items()):
+            digest.update(f"{key}{tuple(value.shape)}".encode())
+            digest.update(value.astype("<f4" if value.dtype.kind == "f" else "<i8").tobytes())
+        return digest.hexdigest()[:16]
+
     def as_dict(self) -> dict[str, Any]:
         """This configuration as JSON holds it; a model nobody has calibrated says nothing of that."""
-        settings = {**dataclasses.asdict(self), "aggregator": as_settings(self.aggregator)}
+        settings = {**dataclasses.asdict(self), "aggregator": self.aggregator.as_settings()}
         if self.calibration is None:
             del settings["calibration"]
         else:
@@ -243,7 +274,8 @@ class ModelConfig:
         try:
             rest = dict(data)
             backbone = _backbone(rest.pop("backbone"))
-            aggregator = from_settings(rest.pop("aggregator"))
+            settings = dict(rest.pop("aggregator"))
+            aggregator = aggregator_kind(settings.get("kind")).from_settings(settings)
             preprocessing = _preprocessing(rest.pop("preprocessing"))
             if rest.get("calibration") is not None:
                 rest["calibration"] = Calibration.from_dict(rest["calibration"])

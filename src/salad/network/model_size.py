@@ -7,28 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import nn
 
-from salad.network.aggregator_config import AGGREGATORS
+from salad.network.aggregator_config import compared_aggregators
 from salad.network.aggregators.base import build_aggregator
-
-PAPERS: dict[str, str] = {
-    "salad": "Izquierdo and Civera 2024",
-    "salad-no-dustbin": "the same, its ablation",
-    "salad-no-scene": "the same, its ablation",
-    "salad-softmax": "the same; each token alone",
-    "salad-dual-softmax": "the same, its ablation",
-    "netvlad": "Arandjelović et al. 2016",
-    "netvlad-linear": "the same, with a linear layer",
-    "gem": "Radenović et al. 2018",
-    "average": "",
-    "class-token": "Oquab et al. 2023 (DINOv2)",
-    "mixvpr": "Ali-bey et al. 2023",
-    "conv-ap": "Ali-bey et al. 2022",
-    "cosplace": "Berton et al. 2022",
-    "boq": "Ali-bey et al. 2024",
-    "vlad": "Keetha et al. 2023 (AnyLoc)",
-    "salad-route": "ours",
-}
-"""Whose each of `AGGREGATORS` is."""
 
 
 class Size(NamedTuple):
@@ -54,8 +34,8 @@ def parameters(module: nn.Module, *, trained_only: bool = False) -> int:
 
 
 def size_of(name: str, width: int) -> Size:
-    """The size of one of `AGGREGATORS` for tokens of `width` numbers, without making its weights."""
-    config = AGGREGATORS[name](width)
+    """The size of one of `compared_aggregators` for tokens of `width` numbers, without making its weights."""
+    config = compared_aggregators(width)[name]
     with torch.device("meta"):
         return Size(parameters(build_aggregator(config), trained_only=True), config.dim)
 
@@ -67,8 +47,10 @@ def table(*widths: int) -> str:
         "paper",
         *(title for d in widths for title in (f"trained, d = {d}", f"numbers, d = {d}")),
     ]
-    rows = [titles, ["---", "---", *["---:"] * 2 * len(widths)]]
-    for name in AGGREGATORS:
+    rows, before = [titles, ["---", "---", *["---:"] * 2 * len(widths)]], ""
+    for name, config in compared_aggregators(widths[0]).items():
+        paper = "the same" if config.kind == before else config.paper
         sizes = [size_of(name, width) for width in widths]
-        rows.append([f"`{name}`", PAPERS[name], *(f"{number:,}" for size in sizes for number in size)])
+        rows.append([f"`{name}`", paper, *(f"{number:,}" for size in sizes for number in size)])
+        before = config.kind
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)

@@ -3,8 +3,8 @@
 Pure functions. Every token has mass 1, every cluster wants mass 1, and the dustbin wants what is left; or the dustbin
 wants a share of all, and the clusters alike what it leaves. The entropic transport problem is solved in log space by
 Sinkhorn's iteration (Cuturi, 2013); SALAD stops it after three rounds, and the three belongs to the model: its
-published weights were trained with an unfinished plan. `share` is that; `softmax` and `dual_softmax` are what the
-paper compares it with.
+published weights were trained with an unfinished plan. `sinkhorn_assign` is that; `softmax` and `dual_softmax` are
+what the paper compares it with.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def sinkhorn(
     return scores + rows + columns
 
 
-def share(
+def sinkhorn_assign(
     scores: Float[Tensor, "batch m n"],
     dustbin: Float[Tensor, ""] | None,
     *,
@@ -66,7 +66,7 @@ def share(
         The plan: every column sums to 1.
 
     Raises:
-        TooFewTokensError: there is a dustbin that wants what is left, and there are not more tokens than clusters.
+        TooFewTokensError: If there is a dustbin that wants what is left, and there are not more tokens than clusters.
     """
     _, clusters, tokens = scores.shape
     if dustbin is not None and wants is None and tokens <= clusters:

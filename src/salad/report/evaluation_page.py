@@ -14,12 +14,12 @@ from salad.report.page import render, several, write_page
 from salad.report.strips import Thumbnails
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 LISTED = 20  # leaks and groups that are named
 
 
-def write_report(result: Result, page: Path, model: Describes | None = None) -> tuple[str, ...]:
+def write_report(result: Result, page: Path, model: DescriberLike | None = None) -> tuple[str, ...]:
     """Write a result as a page; an older one is replaced whole or not at all.
 
     Args:
@@ -38,7 +38,9 @@ def write_report(result: Result, page: Path, model: Describes | None = None) -> 
     return missing
 
 
-def draw_report(result: Result, page: Path, model: Describes | None = None) -> tuple[str, tuple[str, ...]]:
+def draw_report(
+    result: Result, page: Path, model: DescriberLike | None = None
+) -> tuple[str, tuple[str, ...]]:
     """The page as text, and sentences about photos that could not be shown.
 
     Args:

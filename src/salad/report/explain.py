@@ -1,6 +1,6 @@
 """Pictures of what the model saw: the dustbin and the clusters over a photo, matches side by side.
 
-    Share ──> layer, one pixel a token ──> over the photo ──> strip of matches
+    TokenAssignment ──> layer, one pixel a token ──> over the photo ──> strip of matches
 
 The model squeezes a whole photo and crops nothing, so a layer stretched over the photo lies where its tokens were.
 """
@@ -22,7 +22,7 @@ from PIL import Image, ImageDraw, ImageFont
 from salad.errors import ModelError
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes, Share
+    from salad.models.describer import DescriberLike, TokenAssignment
 
 
 # Colours of the dustbin's heat: a little, as the photo's mean and more, all of a token.
@@ -31,19 +31,19 @@ EMBER = ((255, 196, 61), (226, 61, 40), (122, 14, 66))
 RIGHT, WRONG, PLAIN = (15, 124, 134), (208, 72, 38), (120, 124, 130)
 
 
-def share_of(model: Describes, photo: str | Path | Image.Image) -> Share | None:
+def share_of(model: DescriberLike, photo: str | Path | Image.Image) -> TokenAssignment | None:
     """Where a photo's tokens went, or None for a model without a dustbin."""
-    share = getattr(model, "share", None)
-    if share is None:
+    assigned = getattr(model, "token_assignment", None)
+    if assigned is None:
         return None
     try:
-        found: Share = share(photo)
+        found: TokenAssignment = assigned(photo)
     except ModelError:
         return None
     return found
 
 
-def heat(share: Share) -> NDArray[np.float32]:
+def heat(share: TokenAssignment) -> NDArray[np.float32]:
     """How hot to draw each token, `[rows, columns]` in 0..1, rising with the dustbin's share of it.
 
     With many tokens and few clusters the dustbin takes most of nearly every token, so its plain share would
@@ -54,7 +54,7 @@ def heat(share: Share) -> NDArray[np.float32]:
     return np.asarray(shares ** (math.log(0.5) / math.log(mean)), dtype=np.float32)
 
 
-def dustbin_layer(share: Share) -> Image.Image:
+def dustbin_layer(share: TokenAssignment) -> Image.Image:
     """What the dustbin took, as RGBA with one pixel a token: clear where a token counts, ember where not."""
     heats = heat(share).astype(np.float64)
     # Alpha rises with the heat too, so that what counts is seen as it is.
@@ -66,7 +66,7 @@ def dustbin_layer(share: Share) -> Image.Image:
     return Image.fromarray(np.rint(pixels).astype(np.uint8))
 
 
-def cluster_layer(share: Share) -> Image.Image:
+def cluster_layer(share: TokenAssignment) -> Image.Image:
     """Which cluster each token went to, as RGBA with one pixel a token; faint where the dustbin took most."""
     clusters = np.asarray(share.cluster, dtype=np.int64)
     palette = np.array([cluster_colour(number) for number in range(int(clusters.max(initial=0)) + 1)])
@@ -90,12 +90,12 @@ def laid_over(photo: Image.Image, layer: Image.Image) -> Image.Image:
     return Image.alpha_composite(photo.convert("RGBA"), stretched).convert("RGB")
 
 
-def dustbin_over(photo: Image.Image, share: Share) -> Image.Image:
+def dustbin_over(photo: Image.Image, share: TokenAssignment) -> Image.Image:
     """The photo under what the dustbin took of it."""
     return laid_over(photo, dustbin_layer(share))
 
 
-def clusters_over(photo: Image.Image, share: Share) -> Image.Image:
+def clusters_over(photo: Image.Image, share: TokenAssignment) -> Image.Image:
     """The photo under the clusters its tokens went to."""
     return laid_over(photo, cluster_layer(share))
 

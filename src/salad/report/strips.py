@@ -15,7 +15,7 @@ from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_o
 from salad.report.page import several
 
 if TYPE_CHECKING:
-    from salad.models.describer import Describes
+    from salad.models.describer import DescriberLike
 
 QUALITY = 76  # of the JPEGs inside a page: at these sizes more is not seen, and a page is mailed around
 
@@ -48,7 +48,7 @@ class Thumbnails:
         dustbins: What the dustbin took of each photo, as a share.
     """
 
-    model: Describes | None = None
+    model: DescriberLike | None = None
     clusters: bool = False
     missing: list[str] = field(default_factory=list)
     dustbins: list[float] = field(default_factory=list)

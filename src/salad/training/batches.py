@@ -20,8 +20,8 @@ from salad.datasets.samplers import CliqueSampler, MixedSampler, OneCitySampler,
 from salad.datasets.training_place import TrainingPlace, View
 from salad.errors import BenchmarkError, ModelError, PhotoError
 from salad.images.decode import decode
-from salad.models.describer import Describer
 from salad.network.config import Preprocessing
+from salad.network.network import Network
 from salad.training.augment import CUTTING, augmentation
 from salad.training.devices import rank_slice
 from salad.training.recipe import Recipe
@@ -185,7 +185,7 @@ class BatchLoader:
 
     def __init__(
         self,
-        model: Describer,
+        model: Network,
         recipe: Recipe,
         places: Sequence[TrainingPlace],
         *,
@@ -194,7 +194,7 @@ class BatchLoader:
     ) -> None:
         self.model, self.recipe, self.places, self.fabric = model, recipe, places, fabric
         self.sampler = sampler
-        size, full = training_preprocessing(model, recipe), model.preprocessing
+        size, full = training_preprocessing(model, recipe), model.config.preprocessing
         self.augment = augmentation(recipe.augment, size.height, size.width)
         self.augment_full = augmentation(recipe.augment, full.height, full.width)
         self.images_in_use = ImageCache(full)
@@ -248,11 +248,11 @@ class BatchLoader:
         self.images_in_use.close()
 
 
-def training_preprocessing(model: Describer, recipe: Recipe) -> Any:
+def training_preprocessing(model: Network, recipe: Recipe) -> Any:
     """How photos are squeezed in training: the model's own way, to the recipe's size where it has one."""
     if recipe.size is None:
-        return model.preprocessing
-    return replace(model.preprocessing, height=recipe.size, width=recipe.size)
+        return model.config.preprocessing
+    return replace(model.config.preprocessing, height=recipe.size, width=recipe.size)
 
 
 def build_sampler(

@@ -23,8 +23,8 @@ from torch import Tensor
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError, TrainingError
 from salad.files import write_whole
-from salad.models.describer import Describer
 from salad.network.config import ModelConfig
+from salad.network.network import Network
 from salad.training.devices import versions
 from salad.training.recipe import Preset, Recipe, with_defaults
 
@@ -56,7 +56,7 @@ class TrainingState:
         scaler: the loss scale of half precision as it was saved.
     """
 
-    def __init__(self, model: Describer, *, tuned_share: float = 1.0) -> None:
+    def __init__(self, model: Network, *, tuned_share: float = 1.0) -> None:
         self.model, self.average = model, copy.deepcopy(model)
         self.tuned_share = tuned_share
         self.before_tuning: dict[str, Tensor] | None = None
@@ -82,7 +82,7 @@ class TrainingState:
         if self.tuned_share < 1:
             self.before_tuning = copy.deepcopy(self.average.state_dict())
 
-    def kept(self) -> Describer:
+    def kept(self) -> Network:
         """The model as it would be kept if the run ended here: it is what is measured."""
         if self.before_tuning is None:
             return self.average
@@ -92,7 +92,7 @@ class TrainingState:
                 weight.copy_(self.before_tuning[name].to(weight).lerp(weight, self.tuned_share))
         return kept
 
-    def improved(self, score: float, kept: Describer) -> bool:
+    def improved(self, score: float, kept: Network) -> bool:
         """Take these weights for the best if none had so high a score; whether they are taken."""
         if score <= self.best["score"]:
             return False

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from salad.datasets.training_place import TrainingPlace
-from salad.models.describer import Describer, build
 from salad.network.model_size import parameters
+from salad.network.network import Network, build
 from salad.training.augment import augmentation
 from salad.training.batches import build_sampler, check_processes, count_steps, training_preprocessing
 from salad.training.devices import launch_fabric
@@ -66,8 +66,8 @@ def dry_run(
         start_backbone(model, start)
     size = training_preprocessing(model, recipe)
     facts: dict[str, Any] = {
-        "model": f"{model.name}: {preset.model.backbone.kind} under {preset.model.aggregator.kind}",
-        "descriptor": f"{model.dim} numbers",
+        "model": f"{preset.model.name}: {preset.model.backbone.kind} under {preset.model.aggregator.kind}",
+        "descriptor": f"{preset.model.aggregator.dim} numbers",
         "start": start or "untrained",
         "batch": f"{recipe.places} places x {recipe.views} photos at {size.height} x {size.width}",
         "at once": f"{recipe.at_once or recipe.batch} photos",
@@ -150,7 +150,7 @@ class StepCost:
     megabytes: float
 
 
-def measure_step(model: Describer, recipe: Recipe, *, fabric: Any, cached: bool) -> StepCost:
+def measure_step(model: Network, recipe: Recipe, *, fabric: Any, cached: bool) -> StepCost:
     """What a step of the whole batch costs, from one of a few photos; `model` is changed by it.
 
     Args:

@@ -11,6 +11,7 @@ import torch
 
 from salad.datasets.training_place import View
 from salad.errors import MissingExtraError, TrainingError
+from salad.models.describer import Describer
 from salad.models.model_folder import write_folder
 from salad.training import checkpoint
 from salad.training.checkpoint import TrainingState
@@ -92,7 +93,7 @@ class RunLogger:
         kept = state.kept()
         score = float(state.step)  # nothing to choose by: the last
         if self.judge:
-            figures = self.judge(kept)
+            figures = self.judge(Describer.of(kept))
             score = figures.get("mean", math.nan)
             if not math.isfinite(score):
                 raise TrainingError(
@@ -130,11 +131,11 @@ class RunLogger:
         best = self.folder / checkpoint.MODEL
         if self.first:
             last = state.kept().cpu().eval()
-            write_folder(last, self.folder / checkpoint.LAST, dtype=torch.float16, overwrite=True)
+            write_folder(last, self.folder / checkpoint.LAST, dtype="float16", overwrite=True)
             model = state.model.cpu().eval()
             model.load_state_dict(state.best["weights"])
             # The best is written last: where it stands, the run has ended.
-            write_folder(model, best, dtype=torch.float16, overwrite=True)
+            write_folder(model, best, dtype="float16", overwrite=True)
         return best
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from salad.datasets.neighbours import Neighbours
 from salad.datasets.training_place import TrainingPlace, View
 from salad.index.vectors import FileRows, append, storable
-from salad.models.describer import Describes
+from salad.models.describer import DescriberLike
 from salad.search.base import SearcherFactory
 from salad.search.exact import ExactSearcher
 from salad.training.batches import ImageCache
@@ -31,7 +31,7 @@ Likeness = list[dict[int, float]]
 
 
 def mine(
-    model: Describes,
+    model: DescriberLike,
     places: Sequence[TrainingPlace],
     images: ImageCache,
     *,
@@ -79,7 +79,9 @@ def mine(
     return greedy_cliques(likeness, near, size)
 
 
-def _described(model: Describes, places: Sequence[TrainingPlace], images: ImageCache, path: Path) -> FileRows:
+def _described(
+    model: DescriberLike, places: Sequence[TrainingPlace], images: ImageCache, path: Path
+) -> FileRows:
     """Describe the middle photo of each place, into a file: descriptors of all may be more than memory holds."""
     path.touch()
     for start in range(0, len(places), _AT_ONCE):

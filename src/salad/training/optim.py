@@ -9,14 +9,14 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from salad.errors import MissingExtraError, ModelError
-from salad.models.describer import Describer
+from salad.network.network import Network
 from salad.training.recipe import Recipe
 
 Objective = Callable[[Float[Tensor, "batch dim"], Int64[Tensor, " batch"]], Float[Tensor, ""]]
 """Descriptors and the place each shows -> loss."""
 
 
-def build_optimizer(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
+def build_optimizer(model: Network, recipe: Recipe) -> torch.optim.Optimizer:
     """AdamW over all weights that want gradients; each group knows its full rate as `rate`.
 
     Raises:
@@ -29,7 +29,7 @@ def build_optimizer(model: Describer, recipe: Recipe) -> torch.optim.Optimizer:
     groups = [group for group in groups if group["params"]]  # a part that is frozen has no rate
     if not groups:
         raise ModelError(
-            f"the model {model.name} has nothing to train: its aggregator has no weights and its backbone is "
+            f"the model {model.config.name} has nothing to train: its aggregator has no weights and its backbone is "
             "frozen; give tuned_blocks 1 or more and no head_steps"
         )
     return torch.optim.AdamW(groups, weight_decay=recipe.weight_decay)

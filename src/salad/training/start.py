@@ -10,18 +10,19 @@ import torch
 from torch import Tensor
 
 from salad.errors import MissingExtraError, WeightsError
-from salad.models.describer import Describer
 from salad.models.hub import ZOO, fetch
-from salad.models.model_folder import read_folder, read_tensors
+from salad.models.model_folder import read_folder
 from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.aggregators.route import Route
 from salad.network.backbones.resnet_convnext import own_names
+from salad.network.checkpoints import read_tensors
 from salad.network.config import LiteConfig, LiteKind
+from salad.network.network import Network
 
 OF_THE_LAST_NORM = {"norm.weight", "norm.bias"}  # a transformer cut short has none of its own and learns one
 
 
-def start_backbone(model: Describer, start: str) -> None:
+def start_backbone(model: Network, start: str) -> None:
     """Fill the backbone from `start`.
 
     Args:
@@ -60,7 +61,7 @@ def is_whole_model(start: str) -> bool:
     return Path(start).is_dir() or (start in ZOO and ZOO[start].layout == "own")
 
 
-def _path(model: Describer, start: str) -> Path:
+def _path(model: Network, start: str) -> Path:
     if start == "imagenet":
         trunk = model.config.backbone
         if not isinstance(trunk, LiteConfig):
@@ -83,9 +84,9 @@ def _path(model: Describer, start: str) -> Path:
     return Path(start)
 
 
-def _start_whole(model: Describer, folder: Path) -> None:
+def _start_whole(model: Network, folder: Path) -> None:
     """Every weight of a model like this one; or of the SALAD model that a layout is put beside."""
-    given = read_folder(folder)
+    given = read_folder(folder).network
     aggregator, wanted = model.aggregator, model.config.aggregator
     if isinstance(wanted, RouteConfig) and isinstance(given.config.aggregator, SaladConfig):
         aggregator, wanted = cast(Route, aggregator).salad.requires_grad_(False), wanted.salad

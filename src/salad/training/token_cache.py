@@ -29,7 +29,7 @@ from torch import Tensor
 from salad.datasets.training_place import View
 from salad.files import write_whole
 from salad.images.decode import DECODER
-from salad.models.describer import Describer
+from salad.network.network import Network
 from salad.network.tokens import Tokens
 from salad.training.batches import BatchLoader, training_preprocessing
 from salad.training.devices import combined_seed
@@ -46,7 +46,7 @@ class TokenCache:
         folder: where they lie; several runs may share it, at the same time too.
     """
 
-    def __init__(self, model: Describer, batches: BatchLoader, *, folder: Path) -> None:
+    def __init__(self, model: Network, batches: BatchLoader, *, folder: Path) -> None:
         self.model, self.batches, self.fabric = model, batches, batches.fabric
         self.folder = folder / self._settings()
 
@@ -88,7 +88,7 @@ class TokenCache:
         patches = tokens.patches[0].view(*tokens.grid, -1)
         return {
             "patches": patches.to("cpu", torch.float16).contiguous(),
-            "scene": tokens.scene[0].to("cpu", torch.float16).contiguous(),
+            "scene": tokens.cls[0].to("cpu", torch.float16).contiguous(),
         }
 
     def _name(self, view: View, version: int) -> str:

@@ -18,7 +18,8 @@ import torch
 from torch import nn
 
 from salad.datasets.training_place import TrainingPlace, View
-from salad.models.describer import build
+from salad.models.describer import Describer
+from salad.network.network import build
 from salad.training import checkpoint
 from salad.training.batches import BatchLoader, build_sampler, check_processes, count_steps
 from salad.training.checkpoint import TrainingState
@@ -256,7 +257,7 @@ class _Trainer:
         cliques: list[list[int]] = []
         if self.logger.first:  # every process would find the same, and describe all places for it
             cliques = mine(
-                self.state.average,
+                Describer.of(self.state.average),
                 self.batches.places,
                 self.batches.images_in_use,
                 folder=self.logger.folder,

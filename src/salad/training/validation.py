@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float32, Int64
 
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import BenchmarkError, PhotoError
-from salad.models.describer import Describer
+from salad.models.describer import Describer, DescriberLike
 from salad.training.batches import ImageCache
 
 QUERIES = 8  # of each place: its newest photos
@@ -22,7 +22,7 @@ Judge = Callable[[Describer], dict[str, float]]
 
 
 def precision_held_out(
-    model: Describer, places: Sequence[TrainingPlace], images: ImageCache
+    model: DescriberLike, places: Sequence[TrainingPlace], images: ImageCache
 ) -> dict[str, float]:
     """How well each city's newest photos find all others of their place: mean average precision in percent.
 

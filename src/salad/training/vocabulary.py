@@ -19,10 +19,10 @@ from torch import nn
 from torch.nn import functional as F
 
 from salad.errors import MissingExtraError, ModelError, PhotoError
-from salad.models.describer import Describer, PhotoLike, build, evaluating
+from salad.models.describer import Describer, PhotoLike
 from salad.network.aggregator_config import VladConfig
-from salad.network.aggregators.netvlad import NetVlad
-from salad.network.aggregators.vlad import Vlad
+from salad.network.aggregators.base import Fitted
+from salad.network.network import Network, build
 
 PER_PHOTO = 100  # tokens taken of a photo where there are photos enough: neighbours say nearly the same
 Passed = Callable[[PhotoError], None]
@@ -32,11 +32,11 @@ Progress = Callable[[int, int | None], None]
 def needs_fitting(model: nn.Module) -> bool:
     """Whether a model, or an aggregator, is to be fitted to photos and was not yet."""
     part = getattr(model, "aggregator", model)
-    return isinstance(part, NetVlad | Vlad) and not bool(part.fitted)
+    return isinstance(part, Fitted) and not bool(part.fitted)
 
 
 def fit(
-    model: Describer,
+    model: Network,
     photos: Sequence[PhotoLike],
     *,
     seed: int,
@@ -60,7 +60,7 @@ def fit(
         MissingExtraError: the `train` extra is not installed.
     """
     aggregator = model.aggregator
-    if not isinstance(aggregator, NetVlad | Vlad):
+    if not isinstance(aggregator, Fitted):
         return
     kmeans = _kmeans(aggregator.config.clusters, seed)  # before the work, which would be lost without it
     gathered = _gathered(model, photos, seed=seed, passed_over=passed_over)
@@ -77,7 +77,7 @@ def with_vocabulary(
     clusters: int = 32,
     passed_over: Passed | None = None,
     progress: Progress | None = None,
-) -> Describer:
+) -> Network:
     """AnyLoc's model: the backbone of another under a VLAD whose vocabulary is of these photos.
 
     Args:
@@ -96,32 +96,32 @@ def with_vocabulary(
     config = dataclasses.replace(
         model.config,
         name=f"{model.name}-vlad",
-        aggregator=VladConfig(model.backbone.width, clusters),
+        aggregator=VladConfig(model.network.backbone.width, clusters),
         provenance=f"the backbone of {model.name} ({model.fingerprint}), a vocabulary of {clusters} words",
         calibration=None,  # it is of other scores
     )
     made = build(config)
-    made.backbone = model.backbone
+    made.backbone = model.network.backbone
     made.to(model.device)
     fit(made, photos, seed=seed, passed_over=passed_over, progress=progress)
     return made
 
 
 def _gathered(
-    model: Describer, photos: Sequence[PhotoLike], *, seed: int, passed_over: Passed | None
+    model: Network, photos: Sequence[PhotoLike], *, seed: int, passed_over: Passed | None
 ) -> Iterator[Float32[np.ndarray, "n d"]]:
     """The tokens of each photo, of length 1, photos and tokens in an order drawn by the seed."""
-    chance = np.random.default_rng(seed)
+    chance, describer = np.random.default_rng(seed), Describer.of(model)
     for number in chance.permutation(len(photos)):
         try:
-            image = model.prepare([photos[number]])
+            photo = describer.squeezed([photos[number]])
         except PhotoError as error:
             if passed_over is None:
                 raise
             passed_over(error)
             continue
-        with torch.inference_mode(), evaluating(model):
-            units = F.normalize(model.tokens(image).patches[0].float(), dim=1).cpu().numpy()
+        patches = torch.from_numpy(describer.engine.run(photo, ("patches",))["patches"][0]).flatten(0, 1)
+        units = F.normalize(patches, dim=1).numpy()
         yield units[chance.permutation(len(units))]
 
 

@@ -1,51 +1,33 @@
-"""Tokens -> descriptor: one file for each way to do it, and one table."""
+"""The seam of aggregators: tokens -> one descriptor a photo. Their one table is in `aggregator_config`."""
 
 from __future__ import annotations
 
-from typing import Any
+from pkgutil import resolve_name
+from typing import Any, Protocol, runtime_checkable
 
-from salad.network.aggregator_config import (
-    AggregatorConfig,
-    AverageConfig,
-    BoqConfig,
-    ConvApConfig,
-    CosPlaceConfig,
-    GemConfig,
-    MixVprConfig,
-    NetVladConfig,
-    RouteConfig,
-    SaladConfig,
-    SceneConfig,
-    VladConfig,
-)
-from salad.network.aggregators.boq import Boq
-from salad.network.aggregators.convap import ConvAp
-from salad.network.aggregators.cosplace import CosPlace
-from salad.network.aggregators.mixvpr import MixVpr
-from salad.network.aggregators.netvlad import NetVlad
-from salad.network.aggregators.pooling import Average, Gem, Scene
-from salad.network.aggregators.route import Route
-from salad.network.aggregators.salad import Salad
-from salad.network.aggregators.vlad import Vlad
+from jaxtyping import Float
+from torch import Tensor, nn
 
-Aggregator = Salad | Scene | Gem | Average | NetVlad | Vlad | MixVpr | ConvAp | CosPlace | Boq | Route
-
-_MADE_BY: dict[type, Any] = {
-    SaladConfig: Salad,
-    SceneConfig: Scene,
-    GemConfig: Gem,
-    AverageConfig: Average,
-    NetVladConfig: NetVlad,
-    VladConfig: Vlad,
-    MixVprConfig: MixVpr,
-    ConvApConfig: ConvAp,
-    CosPlaceConfig: CosPlace,
-    BoqConfig: Boq,
-    RouteConfig: Route,
-}
+from salad.network.aggregator_config import AggregatorConfig
 
 
-def build_aggregator(config: AggregatorConfig) -> Aggregator:
-    """The aggregator a configuration describes, with untrained weights."""
-    made: Aggregator = _MADE_BY[type(config)](config)
-    return made
+@runtime_checkable
+class Fitted(Protocol):
+    """An aggregator that starts at the centroids of real tokens, as many as its configuration's `clusters`."""
+
+    config: Any
+    fitted: Tensor
+
+    def start_from(self, centroids: Float[Tensor, "k d"], units: Float[Tensor, "t d"]) -> None:
+        """Take centroids of tokens of length 1 for its start; `fitted` is true from then on."""
+        ...
+
+
+def build_aggregator(config: AggregatorConfig) -> nn.Module:
+    """The aggregator a configuration describes, with untrained weights.
+
+    It is called with `Tokens` and gives descriptors [batch, dim] of length 1; where `config.has_plan` says so, its
+    method `plan` gives how much of every token each cluster takes.
+    """
+    aggregator: nn.Module = resolve_name(config.module)(config)
+    return aggregator

@@ -29,7 +29,7 @@ class MixVpr(nn.Module):
         """Describe each photo of the batch by one vector of length 1.
 
         Raises:
-            ModelError: the photos give another grid than the mixers were made for.
+            ModelError: If the photos give another grid than the mixers were made for.
         """
         self._check(tokens)
         mixed = self.mixers(tokens.patches.transpose(1, 2))

@@ -23,7 +23,7 @@ RATIO = 100.0  # of a token's largest assignment to its second, on average, at t
 class NetVlad(nn.Module):
     """Tokens of length 1 assigned by a softmax; number c * d + i is residual i of centroid c.
 
-    It starts at random; `model.fitting` starts it at the centroids of real tokens, as the paper does.
+    It starts at random; `salad.training.start.fit` starts it at the centroids of real tokens, as the paper does.
     """
 
     fitted: Tensor

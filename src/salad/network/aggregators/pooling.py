@@ -22,7 +22,7 @@ class Scene(nn.Module):
 
     def forward(self, tokens: Tokens) -> Float[Tensor, "batch dim"]:
         """Describe each photo of the batch by one vector of length 1."""
-        return F.normalize(tokens.scene, dim=1)
+        return F.normalize(tokens.cls, dim=1)
 
 
 class Average(nn.Module):

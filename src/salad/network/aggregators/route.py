@@ -39,6 +39,10 @@ class Route(nn.Module):
         self.salad.train(mode and any(weight.requires_grad for weight in self.salad.parameters()))
         return self
 
+    def plan(self, tokens: Tokens) -> Float[Tensor, "batch rows n"]:
+        """As the SALAD inside."""
+        return self.salad.plan(tokens)
+
     def layout(self, tokens: Tokens) -> Float[Tensor, "batch cells"]:
         """What is where: a vector of length 1, in which every cell of the grid counts the same."""
         side = self.config.grid

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.network.aggregator_config import SaladConfig
-from salad.network.sinkhorn import dual_softmax, share, softmax
+from salad.network.sinkhorn import dual_softmax, sinkhorn_assign, softmax
 from salad.network.tokens import Tokens
 
 
@@ -41,7 +41,7 @@ class Salad(nn.Module):
         clusters = torch.einsum("bnl,bmn->blm", features, plan.to(features.dtype))
         descriptor = F.normalize(clusters, dim=1).flatten(1)
         if self.scene is not None:
-            descriptor = torch.cat([F.normalize(self.scene(tokens.scene), dim=1), descriptor], dim=1)
+            descriptor = torch.cat([F.normalize(self.scene(tokens.cls), dim=1), descriptor], dim=1)
         if self.linear is not None:  # MegaLoc's last layer takes a vector of length 1 too
             descriptor = self.linear(F.normalize(descriptor, dim=1))
         return F.normalize(descriptor, dim=1)
@@ -50,14 +50,14 @@ class Salad(nn.Module):
         """How much of every token each cluster takes; the last row is the dustbin's, where there is one.
 
         Raises:
-            TooFewTokensError: the photos give no more tokens than there are clusters, and the dustbin nothing.
+            TooFewTokensError: If the photos give no more tokens than there are clusters, and the dustbin nothing.
         """
         scores = self.score(tokens.patches).transpose(1, 2)
         if self.config.transport == "softmax":
             return softmax(scores, self.dustbin)
         if self.config.transport == "dual-softmax":
             return dual_softmax(scores, self.dustbin)
-        return share(
+        return sinkhorn_assign(
             scores,
             self.dustbin,
             wants=self.config.dustbin_share,

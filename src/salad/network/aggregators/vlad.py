@@ -20,7 +20,7 @@ from salad.network.tokens import Tokens
 class Vlad(nn.Module):
     """Residuals to the nearest word, summed for each word; number w * d + i is residual i of word w.
 
-    The vocabulary comes from photos (`model.fitting`), is kept with the weights, and nothing trains it.
+    The vocabulary comes from photos (`salad.training.start.fit`), is kept with the weights, and nothing trains it.
     """
 
     vocabulary: Tensor
@@ -36,7 +36,7 @@ class Vlad(nn.Module):
         """Describe each photo of the batch by one vector of length 1.
 
         Raises:
-            ModelError: there is no vocabulary yet.
+            ModelError: If there is no vocabulary yet.
         """
         if not self.fitted:
             raise ModelError(

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.errors import ModelError
+from salad.network.backbones.base import Backbone
 from salad.network.config import ViTConfig
 from salad.network.tokens import Tokens
 
@@ -113,11 +114,11 @@ class PatchEmbed(nn.Module):
         return out
 
 
-class ViT(nn.Module):
+class ViT(Backbone):
     """DINOv2's vision transformer, small to giant, with or without registers.
 
     Raises:
-        ModelError: `heads` is not at least 1, or does not divide `width`.
+        ModelError: If `heads` is not at least 1, or does not divide `width`.
     """
 
     def __init__(self, config: ViTConfig) -> None:
@@ -147,14 +148,16 @@ class ViT(nn.Module):
         x = self.norm(x)
         return Tokens(x[:, 1 + self.config.registers :], x[:, 0], grid, self.stride)
 
+    def blocks_in_order(self) -> list[list[nn.Module]]:
+        """The transformer's blocks."""
+        return [[block] for block in self.blocks]
+
     def train_last(self, blocks: int) -> None:
-        """Leave only the last `blocks` blocks and the final norm to be trained; 0 trains nothing at all."""
-        if not 0 <= blocks <= len(self.blocks):
-            raise ModelError(f"trained_blocks is {blocks}, but this model has {len(self.blocks)} blocks")
-        self.requires_grad_(False)
-        if blocks:
-            for part in (*self.blocks[-blocks:], self.norm):
-                part.requires_grad_(True)
+        """Leave only the last `blocks` blocks and the final norm to be trained; the stem never is."""
+        super().train_last(blocks)
+        for name, weight in self.named_parameters():
+            if not name.startswith("blocks."):
+                weight.requires_grad_(blocks > 0 and name.startswith("norm."))
 
     def _with_positions(self, patches: Tensor, grid: tuple[int, int]) -> Tensor:
         first, rest = self.pos_embed[:, :1], self._positions(grid)

@@ -1,9 +1,8 @@
-"""Pixels -> tokens: the one table of backbones, and the small one that ships.
+"""EfficientNet-Lite0 and Lite2, the small trunk that ships: pixels -> tokens, fast on any processor.
 
-`Lite` is the trunk of EfficientNet-Lite0 or Lite2: small enough to ship, fast on any processor. Names and numbers
-follow the published ImageNet weights, so they load key by key. Source: Tan and Le, "EfficientNet" (2019), and the
-Lite variants of its authors (no squeeze-and-excite, ReLU6 instead of swish, TensorFlow's "same" padding; the stem is
-as wide, and the first and the last stage as deep, in every size).
+Names and numbers follow the published ImageNet weights, so they load key by key. Source: Tan and Le, "EfficientNet"
+(2019), and the Lite variants of its authors (no squeeze-and-excite, ReLU6 instead of swish, TensorFlow's "same"
+padding; the stem is as wide, and the first and the last stage as deep, in every size).
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.errors import ModelError
-from salad.network.backbones.dinov2 import ViT
-from salad.network.backbones.resnet_convnext import ConvNext, ResNet
-from salad.network.config import BackboneConfig, ConvNextConfig, LiteConfig, LiteKind, ResNetConfig
+from salad.network.backbones.base import Backbone
+from salad.network.config import LiteConfig, LiteKind
 from salad.network.tokens import Tokens
 
 
@@ -108,13 +106,13 @@ class InvertedResidual(nn.Module):
         return x + out if self.residual else out
 
 
-class Lite(nn.Module):
+class Lite(Backbone):
     """An EfficientNet-Lite's trunk up to a block; the mean token stands for the scene.
 
     Its normalisation keeps ImageNet's statistics, in training too: a batch of few places has poor ones.
 
     Raises:
-        ModelError: there are no so many blocks.
+        ModelError: If there are no so many blocks.
     """
 
     def __init__(self, config: LiteConfig) -> None:
@@ -135,43 +133,15 @@ class Lite(nn.Module):
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
         if images.device.type == "cpu" and len(images) > AT_ONCE:
-            return _joined([self(some) for some in torch.split(images, AT_ONCE)])
+            parts = [self(some) for some in torch.split(images, AT_ONCE)]
+            patches, cls = (torch.cat(same) for same in zip(*(part[:2] for part in parts), strict=True))
+            return Tokens(patches, cls, parts[0].grid, self.stride)
         images = images.contiguous(memory_format=torch.channels_last)  # depthwise filters run twice as fast
         x = F.relu6(self._conv_stem.normalised(images, self._bn0), inplace=True)
         for block in self._blocks:
             x = block(x)
-        patches = x.flatten(2).transpose(1, 2)
-        return Tokens(patches, patches.mean(dim=1), (x.shape[2], x.shape[3]), self.stride)
+        return Tokens.of_maps(x, self.stride)
 
-    def train_last(self, blocks: int) -> None:
-        """Leave only the last `blocks` blocks to be trained, and the stem with all of them; 0 trains nothing.
-
-        The first blocks see edges, which no place changes, at the widest grids: half of a step's time.
-        """
-        if not 0 <= blocks <= len(self._blocks):
-            raise ModelError(f"trained_blocks is {blocks}, but this trunk has {len(self._blocks)} blocks")
-        self.requires_grad_(blocks == len(self._blocks))
-        for block in self._blocks[len(self._blocks) - blocks :]:
-            block.requires_grad_(True)
-
-
-def _joined(parts: list[Tokens]) -> Tokens:
-    patches, scenes = (torch.cat(same) for same in zip(*(part[:2] for part in parts), strict=True))
-    return parts[0]._replace(patches=patches, scene=scenes)
-
-
-Backbone = ViT | Lite | ResNet | ConvNext
-
-
-def build_backbone(config: BackboneConfig) -> Backbone:
-    """The backbone a configuration describes, with untrained weights.
-
-    Raises:
-        ModelError: a setting of it cannot be.
-        MissingExtraError: it needs a package that is not installed.
-    """
-    if isinstance(config, LiteConfig):
-        return Lite(config)
-    if isinstance(config, ResNetConfig):
-        return ResNet(config)
-    return ConvNext(config) if isinstance(config, ConvNextConfig) else ViT(config)
+    def blocks_in_order(self) -> list[list[nn.Module]]:
+        """The inverted residual blocks."""
+        return [[block] for block in self._blocks]

@@ -16,7 +16,8 @@ from typing import Any, Self
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from salad.errors import MissingExtraError, ModelError
+from salad.errors import MissingExtraError
+from salad.network.backbones.base import Backbone
 from salad.network.config import ConvNextConfig, ResNetConfig
 from salad.network.tokens import Tokens
 
@@ -38,13 +39,24 @@ TORCHVISION = (
 )
 
 
-class ResNet(nn.Module):
+class Staged(Backbone):
+    """A trunk of stages, named as `transformers` names them."""
+
+    encoder: nn.ModuleDict
+
+    @property
+    def stages(self) -> Any:
+        """Its stages, from the finest grid to the coarsest."""
+        return self.encoder["stages"]
+
+
+class ResNet(Staged):
     """ResNet-50's trunk up to a stage.
 
     Its normalisation keeps the statistics it was given, in training too: a batch of few places has poor ones.
 
     Raises:
-        MissingExtraError: `transformers` is not installed.
+        MissingExtraError: If `transformers` is not installed.
     """
 
     def __init__(self, config: ResNetConfig) -> None:
@@ -63,9 +75,9 @@ class ResNet(nn.Module):
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
         x = self.embedder(images)
-        for stage in _stages(self):
+        for stage in self.stages:
             x = stage(x)
-        return _tokens(x, self.stride)
+        return Tokens.of_maps(x, self.stride)
 
     def train(self, mode: bool = True) -> Self:
         """Set the mode of everything but the normalisation, which stays as in use."""
@@ -75,16 +87,16 @@ class ResNet(nn.Module):
                 module.eval()
         return self
 
-    def train_last(self, blocks: int) -> None:
-        """Leave only the last `blocks` residual blocks to be trained, and the stem with all of them; 0: nothing."""
-        _train_last(self, [[block] for stage in _stages(self) for block in stage.layers], blocks)
+    def blocks_in_order(self) -> list[list[nn.Module]]:
+        """The residual blocks of all stages."""
+        return [[block] for stage in self.stages for block in stage.layers]
 
 
-class ConvNext(nn.Module):
+class ConvNext(Staged):
     """ConvNeXt's trunk up to a stage, each patch normalised at the end as the whole model does with their mean.
 
     Raises:
-        MissingExtraError: `transformers` is not installed.
+        MissingExtraError: If `transformers` is not installed.
     """
 
     def __init__(self, config: ConvNextConfig) -> None:
@@ -105,22 +117,22 @@ class ConvNext(nn.Module):
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
         x = self.embeddings(images)
-        for stage in _stages(self):
+        for stage in self.stages:
             x = stage(x)
-        return _tokens(self.norm(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2), self.stride)
+        return Tokens.of_maps(self.norm(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2), self.stride)
 
-    def train_last(self, blocks: int) -> None:
-        """Leave only the last `blocks` blocks and the norm to be trained, and the stem with all; 0: nothing.
-
-        What narrows the grid before a stage's first block belongs to that block.
-        """
+    def blocks_in_order(self) -> list[list[nn.Module]]:
+        """The blocks of all stages; what narrows the grid before a stage's first block belongs to that block."""
         parts: list[list[nn.Module]] = []
-        for stage in _stages(self):
+        for stage in self.stages:
             first, *rest = stage.layers
             parts += [[stage.downsampling_layer, first], *([block] for block in rest)]
-        _train_last(self, parts, blocks)
-        if blocks:
-            self.norm.requires_grad_(True)
+        return parts
+
+    def train_last(self, blocks: int) -> None:
+        """Leave only the last `blocks` blocks and the norm to be trained, and the stem with all; 0: nothing."""
+        super().train_last(blocks)
+        self.norm.requires_grad_(blocks > 0)
 
 
 def own_names(backbone: nn.Module, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -131,8 +143,8 @@ def own_names(backbone: nn.Module, tensors: Mapping[str, Tensor]) -> dict[str, T
     of another width is the whole model's, and a trunk cut before its end learns its own.
 
     Args:
-        backbone: what is to be filled.
-        tensors: as `model.weights.read_tensors` gives them.
+        backbone: What is to be filled.
+        tensors: As `checkpoints.read_tensors` gives them.
     """
     if not isinstance(backbone, ResNet | ConvNext):
         return dict(tensors)
@@ -161,21 +173,3 @@ def _transformers(what: str) -> Any:
         return import_module("transformers")
     except ImportError as error:
         raise MissingExtraError(what, "train") from error
-
-
-def _stages(trunk: ResNet | ConvNext) -> Any:
-    return trunk.encoder["stages"]
-
-
-def _tokens(maps: Float[Tensor, "batch d rows columns"], stride: int) -> Tokens:
-    patches = maps.flatten(2).transpose(1, 2)
-    return Tokens(patches, patches.mean(dim=1), (maps.shape[2], maps.shape[3]), stride)
-
-
-def _train_last(trunk: nn.Module, parts: list[list[nn.Module]], blocks: int) -> None:
-    if not 0 <= blocks <= len(parts):
-        raise ModelError(f"trained_blocks is {blocks}, but this trunk has {len(parts)} blocks")
-    trunk.requires_grad_(blocks == len(parts))
-    for part in parts[len(parts) - blocks :]:
-        for module in part:
-            module.requires_grad_(True)

@@ -29,7 +29,7 @@ from salad.network.aggregator_config import (
     SceneConfig,
     VladConfig,
 )
-from salad.network.aggregators.base import Aggregator, build_aggregator
+from salad.network.aggregators.base import build_aggregator
 from salad.network.aggregators.netvlad import NetVlad
 from salad.network.aggregators.pooling import Gem
 from salad.network.aggregators.route import Route
@@ -63,7 +63,7 @@ PLACELESS = [
 DEAF = {"scene", "average", "gem", "vlad"}  # nothing to train
 
 
-def _build(config: AggregatorConfig, *, seed: int = 0) -> Aggregator:
+def _build(config: AggregatorConfig, *, seed: int = 0) -> Any:
     """Random weights everywhere, biases and vocabularies too, in float64."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -105,7 +105,7 @@ def test_one_photo_alone_is_its_row_in_a_batch(name: str) -> None:
     model, tokens = _build(CASES[name]), _tokens(4)
     together = model(tokens)
     for row in range(4):
-        alone = tokens._replace(patches=tokens.patches[row : row + 1], scene=tokens.scene[row : row + 1])
+        alone = tokens._replace(patches=tokens.patches[row : row + 1], cls=tokens.cls[row : row + 1])
         torch.testing.assert_close(model(alone)[0], together[row])
 
 
@@ -129,7 +129,7 @@ def test_where_a_patch_is_matters_to_the_others(name: str) -> None:
 def test_gradients_are_right(name: str) -> None:
     model, tokens = _build(CASES[name]), _tokens()
     tokens = tokens._replace(patches=tokens.patches.abs() + 0.1)  # away from where a power has no slope
-    inputs = [tokens.patches.requires_grad_(), tokens.scene.requires_grad_(), *model.parameters()]
+    inputs = [tokens.patches.requires_grad_(), tokens.cls.requires_grad_(), *model.parameters()]
 
     def describe(patches: Tensor, scene: Tensor, *_: Tensor) -> Tensor:
         out: Tensor = model(Tokens(patches, scene, GRID, 16))

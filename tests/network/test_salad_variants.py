@@ -20,8 +20,9 @@ from salad.network.aggregator_config import SaladConfig
 from salad.network.aggregators.salad import Salad
 from salad.network.tokens import Tokens
 
-share, softmax, dual_softmax = (
-    jaxtyped(typechecker=beartype)(each) for each in (sinkhorn.share, sinkhorn.softmax, sinkhorn.dual_softmax)
+sinkhorn_assign, softmax, dual_softmax = (
+    jaxtyped(typechecker=beartype)(each)
+    for each in (sinkhorn.sinkhorn_assign, sinkhorn.softmax, sinkhorn.dual_softmax)
 )
 BASE = SaladConfig(6, clusters=3, cluster_dim=4, scene_dim=5, hidden=7)
 
@@ -88,7 +89,7 @@ def test_without_a_dustbin_every_cluster_wants_its_part_of_all_tokens(
 ) -> None:
     scores = _scores(size, seed) / 4
     _, clusters, tokens = size
-    for photo, found in zip(scores, share(scores, None, iterations=rounds).numpy(), strict=True):
+    for photo, found in zip(scores, sinkhorn_assign(scores, None, iterations=rounds).numpy(), strict=True):
         kernel = _exponentials(photo, None)
         rows, columns = np.ones(clusters), np.ones(tokens)
         for _ in range(rounds):
@@ -104,7 +105,7 @@ def test_without_a_dustbin_every_cluster_wants_its_part_of_all_tokens(
 def test_more_rounds_bring_every_clusters_mass_nearer_to_one() -> None:
     scores = _scores((1, 5, 30), 0)
     misses = [
-        float((share(scores, _bin(1.0), iterations=rounds)[0, :-1].sum(dim=1) - 1).abs().max())
+        float((sinkhorn_assign(scores, _bin(1.0), iterations=rounds)[0, :-1].sum(dim=1) - 1).abs().max())
         for rounds in (1, 3, 10, 100)
     ]
     assert misses == sorted(misses, reverse=True)
@@ -119,16 +120,16 @@ def test_a_variant_sums_features_by_its_own_plan(transport_: str, dustbin: bool,
     model = _salad(transport=transport_, dustbin=dustbin, scene_dim=scene_dim)
     tokens = _tokens()
     scores, score = model.score(tokens.patches).transpose(1, 2), torch.tensor(1.0) if dustbin else None
-    plan = {"sinkhorn": sinkhorn.share, "softmax": softmax, "dual-softmax": dual_softmax}[transport_](
-        scores, score
-    )
+    plan = {"sinkhorn": sinkhorn.sinkhorn_assign, "softmax": softmax, "dual-softmax": dual_softmax}[
+        transport_
+    ](scores, score)
     torch.testing.assert_close(model.plan(tokens), plan)
     assert plan.shape[1] == 3 + dustbin
     for row, features in enumerate(model.feature(tokens.patches)):
         volume = features.T @ plan[row, :3].T
         parts = [(volume / volume.norm(dim=0)).flatten()]
         if model.scene is not None:
-            scene = model.scene(tokens.scene[row])
+            scene = model.scene(tokens.cls[row])
             parts.insert(0, scene / scene.norm())
         expected = torch.cat(parts)
         torch.testing.assert_close(model(tokens)[row], expected / expected.norm())

@@ -14,11 +14,12 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from salad.errors import ModelError
-from salad.models.describer import build
 from salad.network.aggregator_config import SceneConfig
+from salad.network.backbones.base import build_backbone
 from salad.network.backbones.dinov2 import ViT
-from salad.network.backbones.efficientnet import AT_ONCE, LITES, Filter, Lite, _norm, build_backbone
+from salad.network.backbones.efficientnet import AT_ONCE, LITES, Filter, Lite, _norm
 from salad.network.config import LiteConfig, LiteKind, ModelConfig, ViTConfig
+from salad.network.network import build
 from salad.training.start import start_backbone
 
 
@@ -86,7 +87,7 @@ def test_folded_normalisation_is_convolution_then_normalisation(height: int, wid
         expected = _reference(model, images)
     assert tokens.grid == tuple(expected.shape[2:])
     torch.testing.assert_close(tokens.patches, expected.flatten(2).transpose(1, 2), rtol=1e-4, atol=1e-5)
-    torch.testing.assert_close(tokens.scene, expected.mean(dim=(2, 3)), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(tokens.cls, expected.mean(dim=(2, 3)), rtol=1e-4, atol=1e-5)
 
 
 @settings(deadline=None, max_examples=40)
@@ -127,7 +128,7 @@ def test_a_large_batch_in_parts_is_the_batch_in_one_go(batch: int, monkeypatch: 
         monkeypatch.setattr("salad.network.backbones.efficientnet.AT_ONCE", 1000)
         whole = model(images)
     torch.testing.assert_close(parts.patches, whole.patches, rtol=1e-5, atol=1e-6)
-    torch.testing.assert_close(parts.scene, whole.scene, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(parts.cls, whole.cls, rtol=1e-5, atol=1e-6)
     assert (parts.grid, parts.stride) == (whole.grid, whole.stride) == ((4, 6), 4)
 
 
@@ -178,7 +179,7 @@ def test_train_last_trains_the_last_blocks_and_with_all_the_stem(blocks: int) ->
 
 @pytest.mark.parametrize("blocks", [-1, 4])
 def test_no_more_blocks_can_be_trained_than_there_are(blocks: int) -> None:
-    with pytest.raises(ModelError, match="this trunk has 3 blocks"):
+    with pytest.raises(ModelError, match="this backbone has 3 blocks"):
         Lite(LiteConfig(blocks=3)).train_last(blocks)
 
 
