@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,7 +42,9 @@ def covered(sample: Sample, truth: float, *planned: Planned, sets: int) -> list[
 
 
 def of_share(hits: np.ndarray, plan: Resampling, *, seed: int = 0) -> Interval:
-    draws = [100 * (some @ hits) / some.sum(axis=1) for some in plan.weights(seed=seed, times=TIMES)]
+    draws = [
+        100 * (some @ hits) / some.sum(axis=1) for some in replace(plan, seed=seed, times=TIMES).weights()
+    ]
     share = 100 * float(hits.mean())
     return share_interval(share, np.concatenate(draws), units=plan.units, counted=len(hits))
 
@@ -106,7 +109,7 @@ def test_every_draw_is_of_whole_units(queries: int, by: str, seed: int) -> None:
         "group": by_group(groups),
         "block": Resampling("block", queries, np.argsort(np.argsort(order)), min(5, queries)),
     }[by]
-    weights = np.concatenate(list(plan.weights(seed=seed, times=7)))
+    weights = np.concatenate(list(replace(plan, seed=seed, times=7).weights()))
     assert weights.shape == (7, queries)
     assert (weights >= 0).all()
     if by == "group":
@@ -115,12 +118,12 @@ def test_every_draw_is_of_whole_units(queries: int, by: str, seed: int) -> None:
             assert (np.ptp(weights[:, np.array(groups) == group], axis=1) == 0).all()
     else:
         assert (weights.sum(axis=1) == plan.units * plan.length).all()
-    assert (weights == np.concatenate(list(plan.weights(seed=seed, times=7)))).all()
+    assert (weights == np.concatenate(list(replace(plan, seed=seed, times=7).weights()))).all()
 
 
 def test_a_stretch_is_of_neighbours_and_goes_round() -> None:
     plan = Resampling("block", 6, np.array([5, 4, 3, 2, 1, 0]), 3)
-    for row in np.concatenate(list(plan.weights(seed=0, times=50)))[:, ::-1]:  # along the drive
+    for row in np.concatenate(list(replace(plan, seed=0, times=50).weights()))[:, ::-1]:  # along the drive
         starts = [np.roll([1, 1, 1, 0, 0, 0], start) for start in range(6)]
         assert any((row == one + two).all() for one in starts for two in starts)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from salad.datasets.benchmark import Benchmark
+from salad.datasets.compact_lists import PhotoList
 from salad.errors import BenchmarkError, ModelError
-from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge, rank
+from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge, rank, with_leaks
 from salad.evaluation.result import Ranked
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber
@@ -348,3 +350,19 @@ class TestEvaluate:
         for case, ks in ((hopeless, (1,)), (drive, (0,))):
             with pytest.raises(BenchmarkError):
                 evaluate(case, FakeDescriber(), ks=ks, progress=lambda *_: pytest.fail("it began"))
+
+    def test_a_photo_on_both_sides_is_told(self, drive: Benchmark) -> None:
+        result = evaluate(drive, FakeDescriber(), ks=(1, 3))
+        assert with_leaks(result, drive).leaks == ()
+        shutil.copy(drive.references[4].path, drive.queries[2].path)
+        (leak,) = with_leaks(evaluate(drive, FakeDescriber(), ks=(1, 3)), drive).leaks or ()
+        assert (leak.query, leak.reference, leak.kind) == (2, 4, "file")
+
+    def test_a_set_is_told_from_another_by_its_names_and_what_is_right(self, drive: Benchmark) -> None:
+        one = evaluate(drive, FakeDescriber(), ks=(1,))
+        listed = PhotoList(drive.references[0].path.parent, [photo.path.name for photo in drive.references])
+        assert evaluate(replace(drive, references=listed), FakeDescriber(), ks=(1,)).digests == one.digests
+        other = replace(drive, positives=[*drive.positives[:5], np.array([0])])
+        names, right = evaluate(other, FakeDescriber(), ks=(1,)).digests
+        assert names == one.digests[0]
+        assert right != one.digests[1]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -54,12 +54,16 @@ class Resampling:
         queries: How many there are.
         unit_of: `[queries]` the group of each query, or its place along the drive.
         length: Queries in a stretch; 1 where they are not drawn by stretches.
+        seed: Of the draws.
+        times: How many draws.
     """
 
     by: By
     queries: int
     unit_of: Int64[np.ndarray, " queries"]
     length: int = 1
+    seed: int = 0
+    times: int = TIMES
 
     @property
     def units(self) -> int:
@@ -70,21 +74,22 @@ class Resampling:
 
     def as_dict(self) -> dict[str, Any]:
         """What a reader of the figures should know of it."""
-        return {"by": self.by, "units": self.units, "length": self.length, "level": LEVEL}
+        how = {"by": self.by, "units": self.units, "length": self.length, "level": LEVEL}
+        return {**how, "times": self.times, "seed": self.seed}
 
     def draws(
-        self, statistic: Callable[[Weights], Float64[np.ndarray, "some figures"]], *, seed: int, times: int
-    ) -> Float64[np.ndarray, "draws figures"]:
+        self, statistic: Callable[[Weights], Float64[np.ndarray, "draws ..."]]
+    ) -> Float64[np.ndarray, "draws ..."]:
         """A statistic of each draw, given how often each query is drawn."""
-        return np.concatenate([statistic(weights) for weights in self.weights(seed=seed, times=times)])
+        return np.concatenate([statistic(weights) for weights in self.weights()])
 
-    def weights(self, *, seed: int, times: int = TIMES) -> Iterator[Weights]:
+    def weights(self) -> Iterator[Weights]:
         """How often each query is drawn, draw after draw, some draws `[n, queries]` at a time."""
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(self.seed)
         starts = self.queries if self.by == "block" else self.units
         step = max(1, _NUMBERS // max(starts, self.queries))
-        for low in range(0, times, step):
-            count = min(step, times - low)
+        for low in range(0, self.times, step):
+            count = min(step, self.times - low)
             drawn = rng.integers(0, starts, (count, self.units))
             drawn += starts * np.arange(count)[:, None]  # so that one bincount serves all draws
             counts = np.bincount(drawn.ravel(), minlength=count * starts).reshape(count, starts)
@@ -105,11 +110,15 @@ class SamplingDesign:
         by: Single queries, groups of them, or stretches of a drive.
         groups: The group of each query, where they are drawn by groups.
         order: The frame number of each query, where they are drawn by stretches.
+        seed: Of the draws.
+        times: How many draws.
     """
 
     by: By
     groups: tuple[str, ...] = ()
     order: tuple[int, ...] = ()
+    seed: int = 0
+    times: int = TIMES
 
     def resampling(
         self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]
@@ -118,10 +127,12 @@ class SamplingDesign:
         rows = those.tolist()
         # One group alone has nothing to vary against: then its queries count as single ones.
         if self.by == "group" and len({self.groups[row] for row in rows}) > 1:
-            return by_group([self.groups[row] for row in rows])
-        if self.by == "block":
-            return by_block([self.order[row] for row in rows], values.tolist())
-        return by_query(len(rows))
+            resampling = by_group([self.groups[row] for row in rows])
+        elif self.by == "block":
+            resampling = by_block([self.order[row] for row in rows], values.tolist())
+        else:
+            resampling = by_query(len(rows))
+        return replace(resampling, seed=self.seed, times=self.times)
 
 
 def by_query(queries: int) -> Resampling:

@@ -164,7 +164,7 @@ class DescriptorCache:
             if len(waiting) == _PHOTOS or len(waiting) * self._model.dim >= _NUMBERS:
                 self._describe(waiting, batch_size)
                 waiting = {}
-            if progress is not None:
+            if progress is not None:  # photos looked at, described or known: so it runs evenly to its end
                 progress(number + 1, total)
         if waiting:
             self._describe(waiting, batch_size)
@@ -177,7 +177,7 @@ class DescriptorCache:
 
     def _describe(self, photos: dict[bytes, Path], batch_size: int) -> None:
         """Describe these photos and keep them in one file."""
-        paths = list(photos.values())
+        paths = list(photos.values())  # one path of each content: copies of a photo are described once
         rows = np.empty((len(paths), self._model.dim), dtype=np.float32)
         for low in range(0, len(paths), batch_size):
             rows[low : low + batch_size] = describe_batch(self._model, paths[low : low + batch_size])
@@ -199,6 +199,7 @@ class DescriptorCache:
         file = _CacheFile(path)
         keys = file.keys(self._model.dim)
         for row, key in enumerate(keys):
+            # Two evaluations at once may both have described a photo: either will do.
             self._rows.setdefault(key, (len(self._files), row))
         if keys:
             self._files.append(file)
@@ -261,6 +262,7 @@ class _CachedRows:
         """These rows, each run of neighbours in a file read at once."""
         where = self.where[rows]
         block = np.empty((len(where), self.dim), dtype=np.float32)
+        # Photos mostly lie as they were described, in the order of the set: so a block is a few long runs.
         order = np.lexsort((where[:, 1], where[:, 0]))
         ordered = where[order]
         steps = (np.diff(ordered[:, 0]) != 0) | (np.diff(ordered[:, 1]) > 1)

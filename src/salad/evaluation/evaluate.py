@@ -69,6 +69,7 @@ class EvalSettings:
         """
         if not self.ks or min(self.ks) < 1:
             raise BenchmarkError(f"recall at {list(self.ks)} makes no sense: give whole numbers from 1")
+        # Where they count as misses, nothing but misses is an answer too: 0 %.
         rule = self.unanswerable or benchmark.unanswerable_rule
         if rule != "miss" and not any(right.size for right in benchmark.positives):
             raise BenchmarkError(
@@ -213,6 +214,7 @@ def rank(
         raise BenchmarkError(
             f"queries have {queries.dim} numbers each and references {references.dim}: describe both with one model"
         )
+    # One copy of the queries for all passes over the references, which may lie in files.
     asked = queries.take(np.arange(len(queries))).astype(np.float32, copy=False)
     # A sum of squares shows what is not finite, and what is too large to multiply as well.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -260,14 +262,15 @@ def judge(
     if rule != benchmark.unanswerable_rule:  # the protocol's own rule is part of what its name means
         said = f", unanswerable queries {'count as misses' if rule == 'miss' else 'left out'}"
     counted = np.array([number for number, one in enumerate(per_query) if rule == "miss" or one.positives])
+    # Queries of one group, and neighbouring frames of one drive, are right and wrong together.
     if benchmark.groups is not None and len(set(benchmark.groups)) > 1:
         design = SamplingDesign("group", groups=benchmark.groups)
     elif benchmark.protocol.startswith(DRIVES):
         design = SamplingDesign("block", order=along([photo.path for photo in benchmark.queries]))
     else:
         design = SamplingDesign("query")
-    seed, times = settings.seed, settings.times
-    found = recall(per_query, counted, settings.ks, design, seed=seed, times=times)
+    design = replace(design, seed=settings.seed, times=settings.times)
+    found = recall(per_query, counted, settings.ks, design)
     named = sorted({row for one in per_query for row in (*one.matches, one.right) if row is not None})
     return Result(
         benchmark=benchmark.name,
@@ -283,8 +286,8 @@ def judge(
         unanswerable_rule=rule,
         intervals=found.intervals,
         drawn=found.drawn,
-        precision_recall=precision_recall(per_query, design, seed=seed, times=times),
-        distances=distances(per_query, counted, design, seed=seed, times=times),
+        precision_recall=precision_recall(per_query, design),
+        distances=distances(per_query, counted, design),
         per_query=per_query,
         known={row: Reference.of(benchmark.references[row], references) for row in named},
         folders=(references, queries),
@@ -304,7 +307,7 @@ def query_results(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[Qu
         )
     results = []
     for number, (rows, right) in enumerate(zip(ranked.rows, benchmark.positives, strict=True)):
-        query = benchmark.queries[number]
+        query = benchmark.queries[number]  # once: of a large set photos are made as they are asked for
         found = rows >= 0  # searches pad with -1
         hits = np.flatnonzero(np.isin(rows, right))
         first = rows[hits[0]] if hits.size else right[0] if len(right) else None

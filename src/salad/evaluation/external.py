@@ -89,6 +89,7 @@ class _Keys:
         self._twice: set[str] = set()
         for row, photo in enumerate(photos):
             name = below(photo.path, folder)
+            # A set: where a photo lies in the folder itself two of the three are the same.
             for key in {photo.path.stem, name, name.removesuffix(photo.path.suffix)}:
                 if self._rows.setdefault(key, row) != row:
                     self._twice.add(key)
@@ -141,6 +142,7 @@ def read_rankings(benchmark: Benchmark, path: Path) -> tuple[Ranked, tuple[str, 
             "figure with holes is no figure; add them (a line of the query's name alone finds nothing)"
         )
     lengths = [len(ranking) for ranking in rankings.values()]
+    # Lists of unequal length, padded as searches do.
     ranked = np.full((len(rankings), max(1, max(lengths))), -1, dtype=np.int64)
     for row, ranking in rankings.items():
         ranked[row, : len(ranking)] = ranking

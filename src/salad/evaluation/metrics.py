@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from salad.evaluation.result import QueryResult
 
 KS = (1, 5, 10, 20)
-WITHIN_M = (5, 10, 25, 50)
-"""Metres within which a best match may stand; 25 is the field's own measure of a right answer."""
+WITHIN_M = (5, 10, 25, 50)  # metres; 25 is the field's own measure of a right answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +51,6 @@ def recall(
     counted: Int64[np.ndarray, " counted"],
     ks: Sequence[int],
     design: SamplingDesign,
-    *,
-    seed: int,
-    times: int,
 ) -> Recall:
     """Recall@k.
 
@@ -63,22 +59,18 @@ def recall(
         counted: Numbers of the queries that a share is taken of, one at least.
         ks: Which k to report.
         design: Which queries hang together.
-        seed: Of the draws.
-        times: How many draws.
     """
     ranks = np.array([results[number].first_right or math.inf for number in counted.tolist()])
     hits = (ranks[:, None] <= np.array(ks)).astype(np.float64)  # [counted, ks]
     # Where frames of a drive hang together, R@1 says how far: all k are drawn alike, so that they can be nested.
     resampling = design.resampling(counted, hits[:, 0])
-    draws = resampling.draws(
-        lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True), seed=seed, times=times
-    )
+    draws = resampling.draws(lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True))
     percent = {k: float(100.0 * hits[:, column].mean()) for column, k in enumerate(ks)}
     intervals = {
         k: share_interval(percent[k], draws[:, column], units=resampling.units, counted=len(counted))
         for column, k in enumerate(ks)
     }
-    return Recall(percent, nested(intervals), {**resampling.as_dict(), "times": times, "seed": seed})
+    return Recall(percent, nested(intervals), resampling.as_dict())
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +96,7 @@ class Curve:
     @property
     def recall_at_full_precision(self) -> Float64[np.ndarray, "*draws"]:
         """The most recall, in percent, at which no answer is wrong."""
+        # Counts are whole numbers, and 100 * n / n is 100 to the last bit.
         return np.asarray(np.where(self.precision == 100, self.recall, 0.0).max(axis=-1, initial=0.0))
 
     @property
@@ -198,23 +191,20 @@ class PrecisionRecall:
         )
 
 
-def precision_recall(
-    results: Sequence[QueryResult], design: SamplingDesign, *, seed: int, times: int
-) -> PrecisionRecall | None:
+def precision_recall(results: Sequence[QueryResult], design: SamplingDesign) -> PrecisionRecall | None:
     """The precision-recall curve in short; None where no query has a score.
 
     Args:
         results: What became of each query.
         design: Which queries hang together.
-        seed: Of the draws.
-        times: How many draws.
     """
     answers = Answers.of(results)
     if answers is None or not np.isfinite(answers.scores).any():
         return None
+    # All of them, by whatever rule: a query without an answer is a chance to be wrong.
     resampling = design.resampling(np.arange(len(results)), answers.right.astype(np.float64))
     curve = answers.curve()
-    curves = [answers.curve(weights) for weights in resampling.weights(seed=seed, times=times)]
+    curves = [answers.curve(weights) for weights in resampling.weights()]
     return PrecisionRecall(
         float(curve.area),
         float(curve.recall_at_full_precision),
@@ -278,9 +268,6 @@ def distances(
     results: Sequence[QueryResult],
     counted: Int64[np.ndarray, " counted"],
     design: SamplingDesign,
-    *,
-    seed: int,
-    times: int,
 ) -> Distances | None:
     """Localisation error; None where no query and its best match both have a position.
 
@@ -288,8 +275,6 @@ def distances(
         results: What became of each query.
         counted: Numbers of the queries that count.
         design: Which queries hang together.
-        seed: Of the draws.
-        times: How many draws.
     """
     metres_of: dict[int, float] = {}
     for number in counted.tolist():
@@ -301,11 +286,10 @@ def distances(
     if all(map(math.isinf, metres_of.values())):
         return None
     far = np.array(list(metres_of.values()))
+    # How far frames hang together is asked of right and wrong, since metres may be infinite.
     resampling = design.resampling(np.array(list(metres_of)), (far <= WITHIN_M[-1]).astype(np.float64))
     draws = resampling.draws(
-        lambda weights: np.column_stack([weighted_medians(far, weights), percent_within(far, weights)]),
-        seed=seed,
-        times=times,
+        lambda weights: np.column_stack([weighted_medians(far, weights), percent_within(far, weights)])
     )
     within = percent_within(far, np.ones((1, len(far))))[0]
     return Distances(
@@ -324,6 +308,7 @@ def weighted_medians(
     far: Float64[np.ndarray, " queries"], weights: Float64[np.ndarray, "draws queries"]
 ) -> Float64[np.ndarray, " draws"]:
     """The median of each draw, where each query counts so often: the first that half of the weight is not above."""
+    # Nothing is interpolated: half way to infinity is no distance.
     order = np.argsort(far, kind="stable")
     sums = np.cumsum(weights[:, order], axis=1)
     return np.asarray(far[order][np.argmax(sums >= sums[:, -1:] / 2, axis=1)])

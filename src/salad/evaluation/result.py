@@ -24,12 +24,12 @@ from salad.files import write_whole
 from salad.images.photo import Photo
 from salad.tables import csv_line
 
-FORMAT = 1
+FORMAT = 1  # another where a file written before could no longer be read
 COLUMNS = (
     *("query", "group", "positives", "first_right", "metres"),
     *("best_match", "best_score", "best_is_right", "lat", "lon"),
 )
-RULES: dict[str, Unanswerable] = {"drop": "drop", "miss": "miss"}
+RULES: dict[str, Unanswerable] = {"drop": "drop", "miss": "miss"}  # a string read from JSON, by its type
 
 Degrees: TypeAlias = tuple[float, float]
 """Latitude and longitude."""
@@ -216,6 +216,7 @@ class Result:
         )
         if len(result.per_query) != result.queries:
             raise ValueError(f"{result.queries} queries, {len(result.per_query)} verdicts")
+        # A report looks up every match: one without a name would end it halfway.
         missing = {row for one in result.per_query for row in one.matches} - result.known.keys()
         if missing:
             raise ValueError(f"reference {min(missing)} has no name")
@@ -242,8 +243,9 @@ def write_result(result: Result, path: Path) -> None:
         "folders": list(result.folders),
         "digests": list(result.digests),
         "known": {str(row): [one.name, one.where] for row, one in result.known.items()},
-        "verdicts": [asdict(one) for one in result.per_query],
+        "verdicts": [asdict(one) for one in result.per_query],  # what the first release called them
     }
+    # NaN and Infinity are no JSON, whatever Python's reader says: other readers refuse the file.
     text = json.dumps(written, allow_nan=False, separators=(",", ":"))
     write_file(path, text.encode("utf-8"))
 
@@ -293,6 +295,7 @@ def write_csv(result: Result, path: Path) -> None:
     Raises:
         BenchmarkError: If it cannot be written.
     """
+    # A name may hold bytes that are no UTF-8: they are written as they are.
     write_file(path, as_csv(result).encode("utf-8", "surrogateescape"))
 
 

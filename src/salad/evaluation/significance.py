@@ -7,7 +7,7 @@ comes to as much is told as well, since a handful of changes is too few for the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,22 +81,19 @@ def differences(first: Result, other: Result, *, seed: int = 0, times: int = TIM
     check_comparable(first, other)
     counted = np.array([number for number, one in enumerate(first.per_query) if first.counts(one)])
     pairs = [(first.per_query[number], other.per_query[number]) for number in counted.tolist()]
-    design = design_of(first)
+    design = replace(design_of(first), seed=seed, times=times)
     found = []
     for k in (k for k in first.recall if k in other.recall):
         change = np.array([float(new.hit(k)) - float(old.hit(k)) for old, new in pairs])
         resampling = design.resampling(counted, change)
-        draws = [
-            100 * (weights @ change) / weights.sum(axis=1)
-            for weights in resampling.weights(seed=seed, times=times)
-        ]
+        draws = [100 * (weights @ change) / weights.sum(axis=1) for weights in resampling.weights()]
         found.append(
             Difference(
                 k=k,
                 first=first.recall[k],
                 other=other.recall[k],
                 interval=percentile_interval(np.concatenate(draws)),
-                chance=sign_test(change, resampling, seed=seed, times=times),
+                chance=sign_test(change, resampling),
                 won=tuple(new.query for (_, new), by in zip(pairs, change, strict=True) if by > 0),
                 lost=tuple(old.query for (old, _), by in zip(pairs, change, strict=True) if by < 0),
             )
@@ -149,18 +146,14 @@ def design_of(result: Result) -> SamplingDesign:
     return SamplingDesign("query")
 
 
-def sign_test(
-    change: Float64[np.ndarray, " queries"], resampling: Resampling, *, seed: int, times: int
-) -> float:
+def sign_test(change: Float64[np.ndarray, " queries"], resampling: Resampling) -> float:
     """How often the changes come to as much when each unit's turns this way or that by chance.
 
     A sign-flip (randomisation) test, whose units are what is drawn again together.
 
     Args:
         change: What each query gained, or lost.
-        resampling: Which of them hang together.
-        seed: Of the flips.
-        times: How many flips of all.
+        resampling: Which of them hang together, how often to flip them, and from which seed.
     """
     # Stretches of a drive, laid end to end: the starts that a bootstrap draws overlap, and would count queries twice.
     units = resampling.unit_of // resampling.length if resampling.by == "block" else resampling.unit_of
@@ -168,7 +161,7 @@ def sign_test(
     sums = sums[sums != 0]
     if not sums.size:
         return 1.0
-    rng = np.random.default_rng(seed)
+    rng, times = np.random.default_rng(resampling.seed), resampling.times
     turned = np.array([float((sums * rng.choice([-1.0, 1.0], len(sums))).sum()) for _ in range(times)])
     as_much = np.count_nonzero(np.abs(turned) >= abs(float(sums.sum())) - 1e-9)
     # What was found is one of all that could be, so it is counted too: no chance is ever 0.
