@@ -46,6 +46,7 @@ class Benchmark:
             group are not independent of one another.
     """
 
+    # Sequences and not lists: of millions of photos a `PhotoList` makes each as it is asked for.
     name: str
     protocol: str
     references: Sequence[Photo]
@@ -117,6 +118,7 @@ def from_truth(references: Path, queries: Path, truth_csv: Path, *, name: str | 
     reference_paths, query_paths = two_folders(references, queries)
     truth = read_truth(truth_csv, Names(references, reference_paths), Names(queries, query_paths))
     left_out = len(query_paths) - len(truth)
+    # Left out in silence, a forgotten line would look like an easier set.
     note = f"{left_out} photos of {queries} are not in {truth_csv.name} and were left out"
     return Benchmark(
         name=name or _common_name(references, queries),
@@ -154,7 +156,7 @@ def from_frames(references: Path, queries: Path, tolerance: int, *, name: str | 
                 f"{reference_paths[first]} and {path} are both frame {frame(str(path))}: "
                 "keep one reference a frame, or say what is right with a truth table"
             )
-    # Python's own numbers and bisect: a frame may be a time in nanoseconds, which no int64 holds.
+    # Python's own numbers and bisect: a number in a name may be longer than any int64.
     frames = sorted(by_frame)
     positives = []
     for path in query_paths:
@@ -233,6 +235,7 @@ def _common_name(references: Path, queries: Path) -> str:
 
 def _rows(rows: Iterable[int]) -> Rows:
     """Make row numbers ascending and unique, int64."""
+    # A table may name a photo twice; counted twice it would count for two right references.
     return np.unique(np.fromiter(rows, dtype=np.int64))
 
 

@@ -113,6 +113,7 @@ def find_cells(
     cells, fewer = _enough(readable, fewest)
     middles = [centre([photo.where for photo in cell if photo.where is not None]) for cell in cells.values()]
     places = [
+        # Six digits are 10 cm: no two cells are so near to each other, but for those that look another way.
         Cell(f"{middle.lat:.6f}_{middle.lon:.6f}_{way}", city, tuple(cell), middle)
         for ((_, _, way), cell), middle, city in zip(cells.items(), middles, _cities(middles), strict=True)
     ]
@@ -151,6 +152,7 @@ def _cells(photos: Sequence[Photo], side_m: float, turn: float) -> dict[Key, lis
     cells: dict[Key, list[Photo]] = {}
     for (photo, _), row, column in zip(placed, rows.tolist(), columns.tolist(), strict=True):
         cells.setdefault((row, column, _way(photo.heading, turn)), []).append(photo)
+    # In order, whatever the order of the photos: the same photos give the same table.
     return {
         key: sorted(cells[key], key=lambda photo: (clock(photo.time), photo.path)) for key in sorted(cells)
     }
@@ -158,7 +160,7 @@ def _cells(photos: Sequence[Photo], side_m: float, turn: float) -> dict[Key, lis
 
 def _way(heading: float | None, turn: float) -> str:
     """The middle of the part of the compass that a heading is in; the first part's middle is north."""
-    parts = round(360 / turn)
+    parts = round(360 / turn)  # whole parts, so that the compass closes without a rest
     if heading is None or parts <= 1:
         return "any"
     part = round(heading / 360 * parts) % parts

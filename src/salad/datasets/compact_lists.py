@@ -46,6 +46,7 @@ class Strings(_MadeOnRequest[str]):
     def __init__(self, texts: Iterable[str]) -> None:
         # A file's name may hold bytes that are no text; surrogates stand for them, as Path has it.
         coded = [text.encode("utf-8", "surrogateescape") for text in texts]
+        # One block of bytes and where each ends: each as a text of its own would take some 50 bytes more than its letters.
         self._ends = np.cumsum([0, *map(len, coded)], dtype=np.int64)
         self._bytes = b"".join(coded)
 
@@ -72,6 +73,7 @@ class Ragged(_MadeOnRequest["Int64[np.ndarray, ' n']"]):
         """These arrays, put together."""
         held = list(arrays)
         ends = np.cumsum([0, *(len(array) for array in held)], dtype=np.int64)
+        # The empty one in front gives a type to a list of none, and to empty ones of any other.
         return cls(np.concatenate([np.zeros(0, np.int64), *held]).astype(np.int64), ends)
 
     @property
@@ -123,6 +125,7 @@ class PhotoList(_MadeOnRequest[Photo]):
 
     def subset(self, rows: Int64[np.ndarray, " m"]) -> PhotoList:
         """These photos of it, in this order."""
+        # Names are kept below the folder and not whole: the folder's own path is shared by all.
         names = (self.names[row] for row in rows.tolist())
         return PhotoList(self.folder, names, where=self.where[rows], headings=self.headings[rows])
 

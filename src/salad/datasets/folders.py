@@ -83,6 +83,7 @@ def _real(paths: Iterable[Path]) -> set[str]:
     """Where photos really lie: folders are followed once each, and only links among the photos one by one."""
     folders: dict[str, tuple[str, frozenset[str]]] = {}
     real: set[str] = set()
+    # realpath of each of millions of photos would ask the disk for every folder above it, every time.
     for path in paths:
         parent, name = os.path.split(path)
         if parent not in folders:

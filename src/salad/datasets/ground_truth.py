@@ -28,6 +28,7 @@ class Names:
         self._by_path = {
             os.path.relpath(path, folder).replace(os.sep, "/"): row for row, path in enumerate(paths)
         }
+        # Two folders may hold an a.jpg each: such a name is refused where it is used, not here.
         self._by_name: dict[str, list[int]] = {}
         for row, path in enumerate(paths):
             self._by_name.setdefault(path.name, []).append(row)

@@ -125,6 +125,7 @@ class Neighbours:
 
     def __init__(self, points: Sequence[GeoPoint | None], apart_m: float) -> None:
         self._apart_m = apart_m
+        # Those that nobody knows keep their numbers, but are not in the tree, which takes no NaN.
         known = [(point.lat, point.lon) if point else (math.nan, math.nan) for point in points]
         self._lat_lon = np.array(known, dtype=np.float64).reshape(-1, 2)
         self._known = np.flatnonzero(np.isfinite(self._lat_lon[:, 0]))
@@ -162,6 +163,7 @@ def squares(
     high = math.degrees(side_m / EARTH_RADIUS_M)
     rows = np.floor((lat + 90) / high)
     middle = np.radians(np.minimum((rows + 0.5) * high - 90, 90))
+    # By the row's middle: rows get shorter towards the poles, and squares must stay about as wide as they are high.
     pieces = np.ceil(2 * math.pi * EARTH_RADIUS_M * np.cos(middle) / side_m).clip(min=1)
     columns = np.floor((lon + 180) / 360 * pieces) % pieces
     return rows.astype(np.int64), columns.astype(np.int64)

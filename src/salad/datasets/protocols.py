@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from salad.datasets.benchmark import Benchmark, from_frames, from_radius, from_truth
+from salad.datasets.benchmark import Benchmark, Unanswerable, from_frames, from_radius, from_truth
 from salad.datasets.readers import at_names, dbstruct, gsv_cities, msls, npy_triple, npz, two_folders
 from salad.datasets.readers.base import (
     EveryNth,
@@ -27,6 +27,7 @@ from salad.datasets.readers.two_folders import TRUTH_TABLE, own_folders
 from salad.errors import BenchmarkError
 from salad.images.photo import PhotoTable
 
+# Which of several layouts a folder is read by is its protocol's to say, so their order here decides nothing.
 LAYOUTS: dict[str, Layout] = {
     layout.name: layout
     for layout in (
@@ -47,12 +48,29 @@ LAYOUTS: dict[str, Layout] = {
 _NETVLAD = "the authors of NetVLAD on request (www.di.ens.fr/willow/research/netvlad)"
 _DOWNLOADER = "github.com/gmberton/VPR-datasets-downloader, which fetches and names it"
 _ON_REQUEST = "for research, photos on request"
-_MSLS = ("www.mapillary.com/dataset/places", "CC BY-NC-SA 4.0")
 _NORDLAND = (
     "NRK's films of the line (nrkbeta.no), by the list of 27,592 frames at github.com/QVPR/Patch-NetVLAD",
     "as NRK publishes them: see there",
 )
 _SFXL = ("github.com/gmberton/CosPlace on request", "for research, Street View photos on request")
+
+
+def _msls(
+    name: str, layout: str, queries: int, *, stem: str, subset: str = "", unanswerable: Unanswerable = "miss"
+) -> Protocol:
+    return Protocol(
+        name,
+        Radius(25.0),
+        ("MSLS tables", layout),
+        18_871,
+        queries,
+        unanswerable=unanswerable,
+        stems=(stem,),
+        split="val",
+        subset=subset,
+        get="www.mapillary.com/dataset/places",
+        licence="CC BY-NC-SA 4.0",
+    )
 
 
 def _pittsburgh(name: str, stem: str, split: str, references: int, queries: int) -> Protocol:
@@ -62,7 +80,7 @@ def _pittsburgh(name: str, stem: str, split: str, references: int, queries: int)
         ("@ names", "dbStruct", "npy triple", "npz"),
         references,
         queries,
-        stems=(f"{stem}_{split}", stem),
+        stems=(f"{stem}_{split}", stem),  # files say which split they are of, folders need not
         split=split,
         zone="17T",  # its files give metres and no zone: without it no photo has a latitude
         get=_NETVLAD,
@@ -90,31 +108,10 @@ def _own_rule(name: str, rule: Radius | OwnTable, layout: str, get: str) -> Prot
 PROTOCOLS: dict[str, Protocol] = {
     protocol.name: protocol
     for protocol in (
-        # One set, judged in two ways, and the commonest cause of figures that do not compare.
-        Protocol(
-            "msls-val-740",
-            Radius(25.0),
-            ("MSLS tables", "npy triple"),
-            18_871,
-            740,
-            unanswerable="drop",
-            stems=("msls_val",),
-            split="val",
-            subset="all",
-            get=_MSLS[0],
-            licence=_MSLS[1],
-        ),
-        Protocol(
-            "msls-val-11k",
-            Radius(25.0),
-            ("MSLS tables", "@ names"),
-            18_871,
-            11_084,
-            stems=("msls",),
-            split="val",
-            get=_MSLS[0],
-            licence=_MSLS[1],
-        ),
+        # One set, judged in two ways, and the commonest cause of figures that do not compare. The small one leaves out
+        # 7 of its 747 queries, which have no answer; in the large one such queries count as misses.
+        _msls("msls-val-740", "npy triple", 740, stem="msls_val", subset="all", unanswerable="drop"),
+        _msls("msls-val-11k", "@ names", 11_084, stem="msls"),
         _pittsburgh("pitts30k-val", "pitts30k", "val", 10_000, 7_608),
         _pittsburgh("pitts30k-test", "pitts30k", "test", 10_000, 6_816),
         _pittsburgh("pitts250k-test", "pitts250k", "test", 83_952, 8_280),
@@ -139,7 +136,7 @@ PROTOCOLS: dict[str, Protocol] = {
             75_984,
             315,
             stems=("tokyo247",),
-            zone="54S",
+            zone="54S",  # as Pittsburgh's
             get=_NETVLAD,
             licence=_ON_REQUEST,
         ),
@@ -242,6 +239,7 @@ def read(
         PhotoError: If a user's own folder is missing or holds no photo.
     """
     asked = protocol_called(protocol)
+    # A figure by a published name must be measured by that name's rule, and by no other.
     options = {"queries": queries, "metres": metres, "tolerance": tolerance, "heading": heading}
     for option, value in {**options, "table": table, "truth": truth}.items():
         if value is not None and option not in _TAKEN.get(protocol, ()):
@@ -287,6 +285,7 @@ def _published(asked: Protocol, root: Path, name: str | None, *, any_size: bool)
             f"{root}, read as {layout.name}, is not {asked.name}: {'; '.join(differ)}. Complete the set, or "
             "name another protocol"
         )
+    # Said beside every figure that comes of it, so that nobody takes it for the protocol's own.
     counts = f"{len(made.references)} references, {made.counted} queries"
     return replace(made, protocol=f"{asked.name} ({counts})")
 
@@ -317,6 +316,7 @@ def benchmark_of(asked: Protocol, sides: Sides, *, name: str) -> Benchmark:
 
 def differences(asked: Protocol, made: Benchmark) -> list[str]:
     """How a set's counts differ from the protocol's, each as part of a sentence; empty where they do not."""
+    # Where queries without an answer are dropped, the published number counts those that have one.
     what = "queries with an answer" if asked.unanswerable == "drop" else "queries"
     found = (
         ("references", asked.references, len(made.references), asked.about),

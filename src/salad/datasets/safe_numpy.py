@@ -42,6 +42,7 @@ def plain_array(data: bytes, code: str, shape: tuple[int, ...], fortran: bool, a
     Raises:
         BenchmarkError: If items are neither numbers nor texts, there are too many, or the bytes end before them.
     """
+    # By a pattern and not by np.dtype, which takes structures, sub-arrays, and texts of any length.
     if not _PLAIN.fullmatch(code):
         raise BenchmarkError(
             f"{at} holds items of the kind {code!r}: only integers, numbers and texts are read"
@@ -210,6 +211,7 @@ class _Pickle:
             ):
                 return item
             raise TypeError(f"an item is of the kind {type(item).__name__}")
+        # Without this a small file could name one large array a million times, and fill the memory with its copies.
         if id(item) not in self._arrays:
             if item.of == "scalar":
                 kind, raw = item.arguments
@@ -325,20 +327,22 @@ class Arrays:
         Raises:
             BenchmarkError: If it is something else.
         """
-        found = [_integers(item, self.at) for item in self.value]
+        found: list[Int64[np.ndarray, " n"]] = []
+        for item in self.value:
+            array = np.asarray(item) if isinstance(item, int | np.generic | np.ndarray) else None
+            if isinstance(item, list) and all(type(part) is int and abs(part) < 1 << 62 for part in item):
+                array = np.array(item, dtype=np.int64)
+            # an empty list was saved as no real numbers
+            if array is None or not (
+                array.dtype.kind in "iu" or (array.dtype.kind == "f" and array.size == 0)
+            ):
+                raise BenchmarkError(
+                    f"{self.at} should hold rows of references for each query and holds something else"
+                )
+            found.append(array.ravel().astype(np.int64))
         if sum(map(len, found)) > MOST:
             raise BenchmarkError(f"{self.at} holds more than {MOST} numbers, which no ground truth does")
         return found
-
-
-def _integers(item: Any, at: str) -> Int64[np.ndarray, " n"]:
-    array = np.asarray(item) if isinstance(item, int | np.generic | np.ndarray) else None
-    if isinstance(item, list) and all(type(part) is int and abs(part) < 1 << 62 for part in item):
-        array = np.array(item, dtype=np.int64)
-    # an empty list was saved as no real numbers
-    if array is None or not (array.dtype.kind in "iu" or (array.dtype.kind == "f" and array.size == 0)):
-        raise BenchmarkError(f"{at} should hold rows of references for each query and holds something else")
-    return array.ravel().astype(np.int64)
 
 
 def read_npy(path: Path) -> Arrays:

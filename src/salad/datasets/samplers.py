@@ -59,6 +59,7 @@ class MixedSampler:
     def batch(self, number: int) -> list[View]:
         """The batch of that number, from 0 on."""
         rng = np.random.default_rng((self._seed, number))
+        # A generator for each batch, of seed and number: to draw the n-th, none before it need be drawn.
         drawn = rng.choice(len(self._places), size=self._per_batch, replace=False, p=self._chances)
         return _views([self._places[index] for index in drawn], rng, views=self._views, mirror=self._mirror)
 
@@ -216,6 +217,7 @@ def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
 def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], Float64[np.ndarray, " places"]]:
     """Places' numbers, city by city, and the chance of each: a city's is the square root of its size."""
     cities = list(by_city(places).values())
+    # By its size alone one large city would fill every batch; all alike, places of a small one would come too often.
     weights = np.sqrt([len(city) for city in cities])
     chances = [np.full(len(c), w / len(c)) for c, w in zip(cities, weights / weights.sum(), strict=True)]
     return [number for city in cities for number in city], np.concatenate(chances)
@@ -266,6 +268,7 @@ class Packing:
         batch_of = self._batch_of.copy()
         tied = np.array([bool(near) for near in self._near])
         free = np.flatnonzero(~tied)
+        # Any place near to no other may stand anywhere, so that these are shuffled freely, without a look.
         batch_of[free] = batch_of[rng.permutation(free)]
         movers = np.repeat(np.flatnonzero(tied), _TRIES)
         offered = rng.integers(len(batch_of), size=len(movers))
@@ -296,7 +299,7 @@ class Packing:
         for index in order:
             fits = fill < room
             fits[[batch_of[near] for near in self._near[index] if batch_of[near] >= 0]] = False
-            if not fits.any():
+            if not fits.any():  # the colours do not count room, so one batch more may be needed
                 fill, fits = np.append(fill, 0), np.append(fits, True)
             batch_of[index] = emptiest = np.argmin(np.where(fits, fill, room + 1))
             fill[emptiest] += 1

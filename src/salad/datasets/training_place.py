@@ -12,6 +12,7 @@ from salad.geo import GeoPoint
 
 FEWEST = 4  # GSV-Cities' own rule: a place with fewer photos is left out
 
+# Takes a sentence for people, while work goes on.
 Say = Callable[[str], None]
 
 

@@ -67,6 +67,7 @@ def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
         numbers[row] = fields.easting, fields.northing, fields.lat, fields.lon, fields.heading
         zones[row] = zone_number(fields.zone + fields.letter)
         panoramas.append(fields.panoid)
+    # Copied, so that the table of five columns can be let go: of 2.8 million photos it takes 112 MB.
     metres, degrees = numbers[:, :2].copy(), numbers[:, 2:4]
     lost = np.flatnonzero(np.isnan(metres).any(axis=1))
     if lost.size:
@@ -83,13 +84,14 @@ def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
 
 
 def _folders(root: Path, protocol: Protocol) -> tuple[Path, Path] | None:
+    # The exchange format first, then SF-XL's own, then the two folders wherever they are.
     inside = (f"images/{protocol.split}", f"processed/{protocol.split}", protocol.split, "")
     return sides_in(root, protocol.sides, inside=inside)
 
 
 def _has_at_names(folder: Path) -> bool:
     """Whether a photo of a folder has an `@` name, folders in it gone into; of millions, some are looked at."""
-    for _ in range(4):
+    for _ in range(4):  # as deep as sets are seen to go
         with os.scandir(folder) as entries:
             some = [entry for entry in itertools.islice(entries, 100) if not entry.name.startswith(".")]
         if any(entry.name.startswith("@") and entry.is_file() for entry in some):

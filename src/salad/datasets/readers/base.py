@@ -78,8 +78,8 @@ class Frames:
             BenchmarkError: If the queries are numbered by themselves, or a number is too large to be a frame's.
         """
         ours, theirs = (_frames(photos) for photos in (sides.queries, sides.references))
-        # Nordland's queries are every eighth frame, and some copies number them anew from 0: that would read as
-        # frames, and be wrong in silence.
+        # Nordland's queries are every eighth frame. Where a copy numbers them anew from 0, these numbers would read as
+        # frames too, and what is right would be wrong in silence.
         consecutive = len(ours) < len(theirs) and np.array_equal(ours, np.arange(len(ours)) + ours[0])
         if consecutive and len(theirs) == len(np.unique(theirs)) and ours[0] <= 1:
             raise BenchmarkError(
@@ -146,6 +146,7 @@ def right_by(rule: Rule, sides: Sides) -> Ragged:
     Raises:
         BenchmarkError: If the layout does not hold what the rule needs.
     """
+    # A set's own truth goes before ours: published figures were measured by it, rounding and all.
     positives = rule.positives(sides) if sides.positives is None else sides.positives
     if positives is None:
         raise BenchmarkError(
@@ -155,17 +156,19 @@ def right_by(rule: Rule, sides: Sides) -> Ragged:
 
 
 def _frames(photos: PhotoList) -> Int64[np.ndarray, " n"]:
-    """The frame in each photo's name; int64 has no room for longer numbers, such as times in nanoseconds and more."""
+    """The frame in each photo's name."""
     numbers = [frame(name) for name in photos.names]
     longest = max(numbers, default=0)
-    if longest >= 1 << 60:
+    if longest >= 1 << 60:  # so that a tolerance more or less still fits an int64
         raise BenchmarkError(f"{longest} is no frame's number: rename the photos")
     return np.array(numbers, dtype=np.int64)
 
 
 def _within_frames(ours: Int64[np.ndarray, " q"], theirs: Int64[np.ndarray, " r"], tolerance: int) -> Ragged:
     """For each query the rows of the references whose frame is at most `tolerance` from its own."""
-    order = np.argsort(theirs, kind="stable")
+    order = np.argsort(
+        theirs, kind="stable"
+    )  # names need not sort by their numbers: 9.jpg comes after 10.jpg
     starts = np.searchsorted(theirs[order], ours - tolerance, side="left")
     stops = np.searchsorted(theirs[order], ours + tolerance, side="right")
     return Ragged.of(np.sort(order[start:stop]) for start, stop in zip(starts, stops, strict=True))
@@ -196,6 +199,7 @@ class Protocol:
     name: str
     rule: Rule
     layouts: tuple[str, ...]
+    # Published counts guard against a set that is not whole, or is another split: its figures would not compare.
     references: int | None = None
     queries: int | None = None
     about: int = 0
@@ -223,6 +227,7 @@ class Layout:
             read, are damaged, or do not fit together.
     """
 
+    # Three functions and no class to inherit from: a reader is a file that fills these in.
     name: str
     what: str
     looked_for: Callable[[Protocol], Sequence[str]]

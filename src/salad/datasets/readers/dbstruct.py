@@ -54,6 +54,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
         if all(name in fields for name in _FIELDS[1:5])
         else dict(zip(_FIELDS, fields.values(), strict=False))
     )
+    # A file for another distance looks just the same, and would judge by it in silence.
     distance = named.get("posDistThr")
     if isinstance(distance, np.ndarray) and distance.size == 1 and isinstance(protocol.rule, Radius):
         metres = float(distance.ravel()[0])
@@ -62,6 +63,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
                 f"{path} calls {metres:g} m right, but {protocol.name} means {protocol.rule.metres:g} m: take the file "
                 "of that protocol"
             )
+    # The names are below a folder that the file does not name, and each copy of a set has its own.
     homes = [root, root / "images", path.parent, root / "raw_data", *(root / stem for stem in protocol.stems)]
     below = [home / queries for home in homes for queries in _QUERIES]
     references, theirs = _side(path, named.get("dbImageFns"), named.get("utmDb"), homes, protocol.zone)

@@ -60,7 +60,7 @@ def read_gsv_cities(root: Path, *, say: Say | None = None) -> list[TrainingPlace
         taken: dict[str, list[_GsvRow]] = defaultdict(list)
         missing: list[Path] = []
         for row in _rows(table):
-            # Some cities' photos end in capitals.
+            # Photos end in either, and each must be found without a look at the disk.
             found = next((name for name in (f"{row.name}.jpg", f"{row.name}.JPG") if name in there), None)
             if found is None:
                 missing.append(folder / f"{row.name}.jpg")
@@ -79,21 +79,15 @@ def _rows(table: Path) -> Iterator[_GsvRow]:
     line = 1
     try:
         for line, fields in read_csv(table, strict=False, missing=None):
-            yield _row(fields)
+            month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
+            # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
+            lat, lon = fields["lat"], fields["lon"]
+            place, heading = int(fields["place_id"]), int(fields["northdeg"])
+            name = f"{fields['city_id']}_{place:07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
+            yield _GsvRow(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
             line += 1  # where the next one begins, should the reader not come to its end
     except (KeyError, TypeError, ValueError, CsvError, PositionError) as error:
         raise BenchmarkError(f"{table}, line {line}: cannot be read ({error!r})") from error
-
-
-def _row(fields: dict[str, str]) -> _GsvRow:
-    month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
-    # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
-    lat, lon = fields["lat"], fields["lon"]
-    name = (
-        f"{fields['city_id']}_{int(fields['place_id']):07d}_{month}_{int(fields['northdeg']):03d}_"
-        f"{lat}_{lon}_{fields['panoid']}"
-    )
-    return _GsvRow(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
 
 
 def looked_for(_: Protocol) -> list[str]:
@@ -118,6 +112,7 @@ def read(root: Path, _: Protocol) -> Sides:
         raise BenchmarkError(
             f"{root} holds no place of four photos: fetch its Images, or name another folder"
         )
+    # Photos stand oldest first: who asks comes after those who are asked, as in use.
     theirs = [(place, photo) for place in places for photo in place.photos[:-1]]
     counts = np.array([len(place.photos) - 1 for place in places], dtype=np.int64)
     ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

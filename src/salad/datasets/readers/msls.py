@@ -59,6 +59,7 @@ def numbers(table: Path, name: str, cells: Sequence[str]) -> Float64[np.ndarray,
     Raises:
         BenchmarkError: If a cell is none; named by its row.
     """
+    # One by one and not np.array(cells, float): a wrong cell among 15,000 wants its row told.
     read = np.full(len(cells), math.nan)
     for row, cell in enumerate(cells):
         with suppress(ValueError):
@@ -80,6 +81,7 @@ def truths(table: Path, name: str, cells: Sequence[str]) -> Bool[np.ndarray, " n
     return np.array([_TRUTHS[cell.lower()] for cell in cells], dtype=np.bool_)
 
 
+# The cities of each split that a protocol is of.
 CITIES = {"val": ("cph", "sf")}
 TABLES = ("raw.csv", "postprocessed.csv", "seq_info.csv", "subtask_index.csv")
 
@@ -151,12 +153,14 @@ def _part(base: Path, side: str, subset: str) -> _Part:
     seen = columns(raw, ("key", "lon", "lat", "pano"))
     metric = columns(placed, ("key", "easting", "northing"))
     drives = columns(ordered, ("key", "sequence_key"))
+    # The tables belong together by the order of their rows; sorted anew, one would give photos others' places.
     if not seen["key"] == metric["key"] == drives["key"]:
         raise BenchmarkError(
             f"the tables of {folder} do not name the same photos in one order: fetch them again"
         )
     panoramas = truths(raw, "pano", seen["pano"])
     taken = ~panoramas
+    # The table of subsets has no keys of its own, only as many rows.
     if subset:
         in_subset = truths(tasks, subset, columns(tasks, (subset,))[subset])
         if len(in_subset) != len(panoramas):
@@ -184,6 +188,7 @@ def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, 
         np.array(zones, dtype=np.int64), [len(part.names) for part in parts]
     )
     lat_lon = lat_lon_of(metres, zone)
+    # A photo's metres may be broken where its degrees are not, and it need not be lost for that.
     off_grid = np.isnan(lat_lon[:, 0])
     degrees = np.concatenate([part.degrees for part in parts])
     lat_lon[off_grid] = np.clip(degrees[off_grid], (-90, -180), (90, 180))

@@ -19,7 +19,7 @@ from salad.datasets.readers.listed_photos import file_of, panoramas, photos_at
 from salad.datasets.safe_numpy import read_npy
 from salad.errors import BenchmarkError
 
-_REFERENCES = "_dbimages.npy"
+_REFERENCES = "_dbimages.npy"  # in small letters, since files are found by either
 
 
 def looked_for(protocol: Protocol) -> list[str]:
@@ -42,6 +42,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
     assert path is not None
     stem = path.name[: -len(_REFERENCES)]
     theirs, ours = read_npy(path).texts(), read_npy(_beside(path, f"{stem}_qImages.npy")).texts()
+    # MSLS' truth is kept for the queries that count alone, and another file says which these are.
     truth = _beside(path, f"{stem}_gt.npy", f"{stem}_pIdx.npy")
     positives = read_npy(truth).rows()
     counted = file_of(path.parent, [f"{stem}_qIdx.npy"])
@@ -52,6 +53,7 @@ def read(root: Path, protocol: Protocol) -> Sides:
             f"{truth} says what is right for {len(positives)} queries, but there are {len(ours)}: fetch the files of "
             "one set"
         )
+    # Checked here, and not by the benchmark, since here the file to blame is known.
     for row, right in enumerate(positives):
         if right.size and not (right.min() >= 0 and right.max() < len(theirs)):
             raise BenchmarkError(

@@ -46,7 +46,7 @@ class _TwoFolders:
 
     def find(self, root: Path, _: Protocol) -> Path | None:
         """The table where there must be one, else the folder of references."""
-        found = self.folders(root)
+        found = self.folders(root)  # without both folders a table says nothing
         if found is None or self.table is None:
             return found and found[0]
         return root / self.table if (root / self.table).is_file() else None
@@ -61,6 +61,7 @@ class _TwoFolders:
         return Layout(name, what, self.looked_for, self.find, self.read)
 
 
+# People call their folders in many ways, and `looked for` should name them all.
 _OWN = [f"{references}/ and {queries}/" for references, queries in SIDES]
 
 DRIVES = _TwoFolders(
