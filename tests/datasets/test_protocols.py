@@ -7,12 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from salad.datasets import protocols
 from salad.datasets.benchmark import from_radius
-from salad.datasets.compact_lists import PhotoList
+from salad.datasets.compact_lists import PhotoList, Ragged
 from salad.datasets.protocols import LAYOUTS, PROTOCOLS, read
 from salad.datasets.readers.base import (
     EveryNth,
@@ -240,6 +243,45 @@ class TestRules:
             "the pair of one name",
             "by gt",
         }
+
+    @given(
+        ours=st.lists(st.integers(0, 30), min_size=1, max_size=12),
+        theirs=st.lists(st.integers(0, 30), min_size=1, max_size=12),
+        tolerance=st.integers(0, 4),
+    )
+    def test_frames_by_their_definition(self, ours: list[int], theirs: list[int], tolerance: int) -> None:
+        queries, references = (
+            PhotoList(Path("x"), [f"cam1_{number}.jpg" for number in side]) for side in (ours, theirs)
+        )
+        try:
+            found = right_by(Frames(tolerance), Sides(references, queries))
+        except BenchmarkError:  # numbered by themselves, so that they say nothing of frames
+            assert ours == list(range(ours[0], ours[0] + len(ours)))
+            return
+        for frame, rows in zip(ours, found, strict=True):
+            assert rows.tolist() == [
+                row for row, other in enumerate(theirs) if abs(other - frame) <= tolerance
+            ]
+
+    @given(queries=st.integers(1, 9), step=st.integers(1, 5), tolerance=st.integers(0, 3))
+    def test_every_nth_by_its_definition(self, queries: int, step: int, tolerance: int) -> None:
+        ours, theirs = (PhotoList(Path("x"), ["a.jpg"] * count) for count in (queries, queries * step))
+        found = right_by(EveryNth(step, tolerance), Sides(theirs, ours))
+        for query, rows in enumerate(found):
+            assert rows.tolist() == [
+                row for row in range(queries * step) if abs(row - step * query) <= tolerance
+            ]
+
+    def test_pairs_by_their_names(self) -> None:
+        ours = PhotoList(Path("x"), ["1.jpg", "b/2.jpg", "3.jpg"])
+        theirs = PhotoList(Path("y"), ["2.png", "1.png", "a/1.jpg", "4.png"])
+        found = right_by(SameName(), Sides(theirs, ours))
+        assert [rows.tolist() for rows in found] == [[1, 2], [0], []]
+
+    def test_what_the_set_itself_says_goes_before_any_rule(self) -> None:
+        photos, own = PhotoList(Path("x"), ["7.jpg", "8.jpg"]), Ragged.of([np.array([1]), np.array([0])])
+        for rule in (Radius(25), Frames(2), EveryNth(1, 0), SameName(), OwnTable()):
+            assert right_by(rule, Sides(photos, photos, positives=own)) is own
 
     def test_a_layout_that_does_not_say_enough(self) -> None:
         photos = PhotoList(Path("x"), ["a.jpg"])

@@ -46,7 +46,7 @@ class Strings(_MadeOnRequest[str]):
     def __init__(self, texts: Iterable[str]) -> None:
         # A file's name may hold bytes that are no text; surrogates stand for them, as Path has it.
         coded = [text.encode("utf-8", "surrogateescape") for text in texts]
-        # One block of bytes and where each ends: each as a text of its own would take some 50 bytes more than its letters.
+        # One block of bytes and where each ends: a text of its own takes some 50 bytes more than its letters.
         self._ends = np.cumsum([0, *map(len, coded)], dtype=np.int64)
         self._bytes = b"".join(coded)
 

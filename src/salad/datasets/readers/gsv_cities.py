@@ -81,9 +81,9 @@ def _rows(table: Path) -> Iterator[_GsvRow]:
         for line, fields in read_csv(table, strict=False, missing=None):
             month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
             # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
-            lat, lon = fields["lat"], fields["lon"]
+            lat, lon, city = fields["lat"], fields["lon"], fields["city_id"]
             place, heading = int(fields["place_id"]), int(fields["northdeg"])
-            name = f"{fields['city_id']}_{place:07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
+            name = f"{city}_{place:07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
             yield _GsvRow(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
             line += 1  # where the next one begins, should the reader not come to its end
     except (KeyError, TypeError, ValueError, CsvError, PositionError) as error:
