@@ -92,12 +92,12 @@ class Network(nn.Module):
             if name == "descriptor":
                 made[name] = self.aggregator(tokens)
             elif name == "patches":
-                made[name] = tokens.patches.reshape(len(photos), *tokens.grid, -1)
+                made[name] = tokens.patches.reshape(len(photos), *tokens.grid, self.backbone.width)
             elif name == "cls":
                 made[name] = tokens.cls
             else:
                 plan: Tensor = cast(Any, self.aggregator).plan(tokens)
-                made[name] = plan.reshape(len(photos), -1, *tokens.grid)
+                made[name] = plan.reshape(*plan.shape[:2], *tokens.grid)
         return made
 
     def weights(self) -> dict[str, np.ndarray]:
