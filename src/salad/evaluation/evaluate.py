@@ -124,6 +124,7 @@ def evaluate(
         benchmark,
         ranked,
         settings,
+        # A figure got in another way than the model's own must not stand under its bare name.
         model=f"{model.name}, plain" if centred and plain else model.name,
         notes=(CENTRED,) if centred and not plain else (),
         fingerprint=model.fingerprint,
@@ -157,6 +158,7 @@ def evaluate_descriptors(
     settings.check(benchmark)
     began = time.perf_counter()
     known, asked, notes = read_descriptors(benchmark, references, queries)
+    # Never centred: what comes from outside is compared as whoever made it compares it.
     ranked = rank(asked, known, k=max(settings.ks), searcher=searcher)
     seconds = time.perf_counter() - began
     return judge(benchmark, ranked, settings, model=name, seconds=seconds, notes=notes)

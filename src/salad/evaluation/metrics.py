@@ -90,6 +90,7 @@ class Curve:
     @property
     def area(self) -> Float64[np.ndarray, "*draws"]:
         """The area under the curve in percent, by steps (average precision): nothing is drawn between points."""
+        # From no recall at all: the first step counts as well.
         steps = np.diff(self.recall, axis=-1, prepend=0.0)
         return np.asarray((steps * self.precision).sum(axis=-1) / 100)
 

@@ -337,7 +337,7 @@ def folder_of(photos: Sequence[Photo]) -> str:
         return os.path.abspath(photos.folder)  # noqa: PTH100  # links are left as they are named
     try:
         return os.path.commonpath({os.path.abspath(photo.path.parent) for photo in photos})  # noqa: PTH100  # the same
-    except ValueError:
+    except ValueError:  # two drives of Windows have no folder in common
         return ""
 
 
@@ -358,16 +358,12 @@ def along(paths: Sequence[Path]) -> tuple[int, ...]:
 
 def digests_of(benchmark: Benchmark, folder: str) -> tuple[str, str]:
     """Tell one set from another: by its references' paths below their folder, and by what is right."""
-    photos, names, right = (
-        benchmark.references,
-        hashlib.blake2b(digest_size=16),
-        hashlib.blake2b(digest_size=16),
-    )
+    photos = benchmark.references
     # A list of millions of photos has its names at hand, and would have to make each photo.
-    for name in (
-        photos.names if isinstance(photos, PhotoList) else (below(each.path, folder) for each in photos)
-    ):
+    named = photos.names if isinstance(photos, PhotoList) else (below(each.path, folder) for each in photos)
+    names, right = hashlib.blake2b(digest_size=16), hashlib.blake2b(digest_size=16)
+    for name in named:
         names.update(name.encode("utf-8", "surrogateescape") + b"\0")
     for rows in benchmark.positives:
-        right.update(np.append(np.asarray(rows, dtype="<i8"), -1).tobytes())
+        right.update(np.append(np.asarray(rows, dtype="<i8"), -1).tobytes())  # -1 ends a query's rows
     return names.hexdigest(), right.hexdigest()

@@ -49,6 +49,7 @@ class Difference:
     @property
     def real(self) -> bool:
         """Whether it is more than chance: nothing is within the interval, and chance seldom does as much."""
+        # Both: the draws alone call five changes of five real, and the flips alone know no interval.
         outside = self.interval.low > 0 or self.interval.high < 0
         return outside and self.chance < 1 - LEVEL
 
@@ -79,6 +80,7 @@ def differences(first: Result, other: Result, *, seed: int = 0, times: int = TIM
         BenchmarkError: If they are not of one set under one protocol, and the sentence says what differs.
     """
     check_comparable(first, other)
+    # Both results keep to one rule, so that either says which queries count.
     counted = np.array([number for number, one in enumerate(first.per_query) if first.counts(one)])
     pairs = [(first.per_query[number], other.per_query[number]) for number in counted.tolist()]
     design = replace(design_of(first), seed=seed, times=times)
@@ -139,7 +141,7 @@ def check_comparable(first: Result, other: Result) -> None:
 def design_of(result: Result) -> SamplingDesign:
     """Which queries hang together, as it was when the result was made."""
     by = result.drawn.get("by", "query")
-    if by == "group":
+    if by == "group":  # where some queries are of no group, each is one of its own
         return SamplingDesign("group", groups=tuple(one.group or one.query for one in result.per_query))
     if by == "block":
         return SamplingDesign("block", order=along([Path(one.query) for one in result.per_query]))

@@ -27,16 +27,11 @@ if TYPE_CHECKING:
 Numbers = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-SHARPNESSES = (5.0, 10.0, 20.0, 40.0, 80.0)
-"""What is tried for `Calibration.sharpness`: twice as sharp each time."""
-BINS = 10
-"""Steps of confidence in a reliability diagram."""
+SHARPNESSES = (5.0, 10.0, 20.0, 40.0, 80.0)  # tried for `Calibration.sharpness`: twice as sharp each time
+BINS = 10  # steps of confidence in a reliability diagram
 FOLDS = 5
-RADIUS_COVERAGE = 0.9
-"""Part of the answers whose radius is to hold the truth."""
-
-SIGNS = np.array([1.0, 1.0, -1.0, 1.0])
-"""Which way each number of `Evidence` counts: all but the spread make a place surer."""
+RADIUS_COVERAGE = 0.9  # part of the answers whose radius is to hold the truth
+SIGNS = np.array([1.0, 1.0, -1.0, 1.0])  # of `Evidence`: all of it but the spread makes a place surer
 # Pulls the weights of standardised evidence towards 0 as much as one query's loss would, so that there is an optimum
 # where right and wrong are parted perfectly. The bias is pulled by next to nothing: just enough to be unique.
 _RIDGE = np.array([1e-6, 1.0, 1.0, 1.0, 1.0])
@@ -108,6 +103,7 @@ def calibrate(
     places = sorted({case.place for case in cases})
     if len(places) < FOLDS:
         raise BenchmarkError(f"there are queries of {len(places)} places: give at least {FOLDS}")
+    # By place, not by query: photos of one place are so alike that a fit to some would know the others.
     shuffled = np.random.default_rng(seed).permutation(len(places))
     fold_of = dict(zip(places, shuffled % FOLDS, strict=True))
     folds = np.array([fold_of[case.place] for case in cases])
@@ -117,6 +113,7 @@ def calibrate(
     sharpness = min(SHARPNESSES, key=lambda each: log_loss(judged[each]))
     best, sure = answers[sharpness], judged[sharpness].confidence
     limit = threshold(judged[sharpness], precision)
+    # Judged out of fold, but what ships is fitted to all there is. Four decimals make a file that people can read.
     bias, weights = fit_logistic(best.evidence, best.right, best.weight)
     top, gap, spread, share = (round(float(weight), 4) for weight in weights)
     calibration = Calibration(
@@ -164,6 +161,7 @@ def fit_logistic(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[floa
         )
     signed = evidence * SIGNS
     mean, scale = signed.mean(axis=0), np.maximum(signed.std(axis=0), 1e-6)
+    # Standardised, so that the ridge pulls at all of them alike, whatever their units.
     rows = np.column_stack([np.ones(len(right)), (signed - mean) / scale])
     weight = weight / weight.mean()
 
@@ -188,7 +186,7 @@ def fit_logistic(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[floa
 
 def reliability(judged: Predictions) -> list[ReliabilityBin | None]:
     """How often what is so sure is right, in `BINS` steps of confidence; None for a step without a case."""
-    step_of = np.minimum((judged.confidence * BINS).astype(int), BINS - 1)
+    step_of = np.minimum((judged.confidence * BINS).astype(int), BINS - 1)  # a confidence of 1 is in the last
     bins: list[ReliabilityBin | None] = []
     for step in range(BINS):
         here = step_of == step

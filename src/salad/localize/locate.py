@@ -57,8 +57,7 @@ class Answer:
         query: The photo.
         place: Where it was taken; None where unknown.
         matches: The photos of the index most like it, best first.
-        others: Places that came after, the heaviest first; where the place is unknown, the one that was not
-            sure enough leads them.
+        others: Places that came after, the heaviest first; one that was not sure enough to be the place leads them.
     """
 
     query: Path
@@ -120,7 +119,7 @@ def locate(
         PhotoError: If the photo cannot be read.
         WrongModelError: If the index was made with another model.
     """
-    return next(
+    return next(  # it has one answer, or raises
         locate_many(
             [Path(query)],
             index=index,
@@ -166,7 +165,9 @@ def locate_many(
         PhotoError: If a photo cannot be read and `on_unreadable` is not given.
         WrongModelError: If the index was made with another model.
     """
-    index.check_model(model)
+    index.check_model(
+        model
+    )  # descriptors of two models have nothing to do with one another, whatever their scores
     calibration = calibration_of(model)
     limit = calibration.min_confidence if min_confidence is None else min_confidence
     to = model.preprocessing
@@ -176,6 +177,7 @@ def locate_many(
         readable = _readable(decoded, on_unreadable)
         while batch := list(islice(readable, batch_size)):
             descriptors = model.describe([pixels for _, pixels in batch], batch_size=batch_size)
+            # Confidence is only right for the kind of score that the calibration was fitted to.
             found = index.search(descriptors, k=k, where=where, centred=calibration.centred)
             for (query, _), matches in zip(batch, found, strict=True):
                 places = voting(matches, radius_m=radius_m, calibration=calibration)

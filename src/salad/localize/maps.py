@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 
 CORNERS = 32  # of the polygon that stands for a circle: neither format has circles
+# What XML 1.0 has no way to write, not even escaped; a file's name may hold it.
 _NOT_XML = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -82,6 +83,7 @@ def as_gpx(answers: Sequence[Answer], times: Sequence[datetime | None]) -> str:
         for answer, time in zip(answers, times, strict=True)
         if answer.place
     ]
+    # An order of time that holds for some of them only would be no order.
     dated = [(_utc(time), number) for number, (_, _, time) in enumerate(stops) if time is not None]
     if len(dated) == len(stops):
         stops = [stops[number] for _, number in sorted(dated)]
@@ -143,5 +145,5 @@ def _put(parent: ElementTree.Element, name: str, *words: str) -> None:
 
 
 def _as_text(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
+    ElementTree.indent(root)  # people open these files
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode")

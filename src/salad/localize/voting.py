@@ -25,14 +25,10 @@ from salad.network.config import Calibration
 if TYPE_CHECKING:
     from salad.index.index import Match
 
-RADIUS_M = 25.0
-"""Photos this close show one place: the field's own measure of a right answer."""
-VIEW = 90.0
-"""Photos of one spot that look further apart than this, in degrees, have nothing in view that both show."""
-FAR_M = 100.0
-"""A match this far from the place counts half as scattered as one at the end of the world."""
-GENERIC = Calibration()
-"""Stands in where a model has no calibration of its own."""
+RADIUS_M = 25.0  # photos this close show one place: the field's own measure of a right answer
+VIEW = 90.0  # degrees; photos of one spot that look further apart have nothing in view that both show
+FAR_M = 100.0  # a match this far from the place counts half as scattered as one at the end of the world
+GENERIC = Calibration()  # stands in where a model has no calibration of its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +84,7 @@ def vote(
     places: list[Place] = []
     for one in candidates(matches, radius_m=radius_m, sharpness=calibration.sharpness):
         sure = confidence(one.evidence, calibration)
-        left = 1 - places[0].confidence if places else 1.0
+        left = 1 - places[0].confidence if places else 1.0  # one photo was taken in one place
         places.append(Place(one.where, calibration.radius * one.scatter_m, min(sure, left), one.support))
     return places
 
@@ -216,6 +212,7 @@ def evidence(group: Group, everyone: Sequence[WeightedMatch], middle: GeoPoint) 
         where = one.match.photo.where
         away = math.inf if where is None else metres_between(where, middle)
         scattered.append(1.0 if where is None else away / (away + FAR_M))
+    # Where nothing stands elsewhere the last match is the rival: whatever else the index has scored lower than it.
     top, rival = group.supporters[0].match.score, (elsewhere or heard[-1:])[0].match.score
     return Evidence(
         top=top,
