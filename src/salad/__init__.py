@@ -12,6 +12,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from salad._moved import find_former_modules
 from salad._version import __version__
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ __all__ = [
     "locate",
     "locate_many",
 ]
+
+find_former_modules()
 
 
 def __getattr__(name: str) -> Any:
