@@ -170,8 +170,13 @@ def test_where_there_is_no_python_to_start(tmp_path: Path, monkeypatch: pytest.M
     crew.close()
 
 
-def test_signals_without_a_name_are_told_by_number() -> None:
-    assert workers._cause(-250) == "signal 250"
+def test_signals_without_a_name_are_told_by_number(crew: Workers, tmp_path: Path) -> None:
+    class Dead:
+        stdin = stdout = None
+        returncode = -250
+        wait = kill = lambda self, *_: None
+
+    assert str(crew._processes[0]._failed(Dead(), tmp_path)) == "signal 250"
 
 
 # --- the other side ------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import re
 import stat
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any
@@ -110,30 +110,29 @@ def _load(path: Path, file: IO[bytes] | None, *, at_least: tuple[int, int] | Non
     path = existing(Path(path))
     with naming(path), path.open("rb") if file is None else nullcontext(file) as source:
         image = open_image(path, source)
-        _check_scans(path, source, image)
+        if image.info.get("progressive"):
+            source.seek(0)
+            scans = source.read().count(_SCAN)
+            if scans > MAX_SCANS:
+                raise PhotoError(f"{path} has {scans} passes over its pixels, over {MAX_SCANS}: save it anew")
         if at_least is not None and image.format in _REDUCED:
             side = max(at_least) * 2  # both ways, since the photo may yet be turned
             image.draft("RGB", (side, side))
         complains = image.format == "TIFF"  # no other format warns while it decodes
         with quiet_pillow() if complains else nullcontext():
             image.load()
-        return _upright(image)
-
-
-def _upright(image: Image.Image) -> Image.Image:
-    """RGB, turned as the image's EXIF asks; the image itself is used up."""
-    try:
-        with quiet_pillow():
+        try:
             # Turned before it is converted, and in place: at no time are there more than two copies of it.
-            ImageOps.exif_transpose(image, in_place=True)
-    except MemoryError:
-        raise
-    except Exception:  # a broken EXIF may raise anything at all; it then says nothing
-        pass
-    rgb = to_rgb(image)
-    if rgb is not image:
-        image.close()
-    return rgb
+            with quiet_pillow():
+                ImageOps.exif_transpose(image, in_place=True)
+        except MemoryError:
+            raise
+        except Exception:  # a broken EXIF may raise anything at all; it then says nothing
+            pass
+        rgb = to_rgb(image)
+        if rgb is not image:
+            image.close()
+        return rgb
 
 
 def squeeze(image: Image.Image, height: int, width: int, resample: str = "bilinear") -> Pixels:
@@ -218,18 +217,38 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
     file.seek(0)
     if not head:
         raise PhotoError(f"{path} is empty (0 bytes): fetch it again from where it came from")
+    heif: Any = None
+    if _is_heic(head):
+        try:
+            heif = importlib.import_module("pillow_heif")
+        except ImportError as error:
+            missing = MissingExtraError("reading HEIC", "heic")
+            raise PhotoError(
+                f"{path} is HEIC: save it as JPEG, or install what reads it ({missing})"
+            ) from error
     try:
         with quiet_pillow():
-            image = _open_heic(path, file) if _is_heic(head) else Image.open(file, formats=_formats())
-    except (
-        Image.DecompressionBombError
-    ) as error:  # refused by Pillow in the middle: its sentence has the size
+            Image.init()
+            formats = [name for name in _FORMATS if name in Image.OPEN]  # a Pillow may be built without some
+            # As pillow_heif's plugin would, but with nothing registered for others to stumble over.
+            image = heif.HeifImageFile(file) if heif else Image.open(file, formats=formats)
+    except Image.DecompressionBombError as error:
+        # Refused by Pillow in the middle of a file, so that the number of pixels stands in its sentence alone.
         found = re.search(r"\d+", str(error))
         raise PhotoError(
             f"{path} has {found[0] if found else 'too many'} pixels, {_over(MAX_PIXELS)}"
         ) from error
     _check_size(path, image)
     return image
+
+
+def _is_heic(head: bytes) -> bool:
+    """Whether a file of the HEIC and AVIF family is HEIC: its brands say so, and none says AVIF."""
+    if head[4:8] != b"ftyp":
+        return False
+    end = min(int.from_bytes(head[:4], "big"), len(head))
+    brands = {head[8:12], *(head[start : start + 4] for start in range(16, end, 4))}
+    return bool(brands & _HEIC) and not brands & _AVIF
 
 
 @contextmanager
@@ -243,30 +262,6 @@ def quiet_pillow() -> Iterator[None]:
             yield
         finally:
             Image.MAX_IMAGE_PIXELS = limit
-
-
-def _formats() -> list[str]:
-    Image.init()
-    return [name for name in _FORMATS if name in Image.OPEN]  # a Pillow may be built without some
-
-
-def _is_heic(head: bytes) -> bool:
-    """Whether a file of the HEIC and AVIF family is HEIC: its brands say so, and none says AVIF."""
-    if head[4:8] != b"ftyp":
-        return False
-    end = min(int.from_bytes(head[:4], "big"), len(head))
-    brands = {head[8:12], *(head[start : start + 4] for start in range(16, end, 4))}
-    return bool(brands & _HEIC) and not brands & _AVIF
-
-
-def _open_heic(path: Path, file: IO[bytes]) -> Image.Image:
-    try:
-        heif: Any = importlib.import_module("pillow_heif")
-    except ImportError as error:
-        missing = MissingExtraError("reading HEIC", "heic")
-        raise PhotoError(f"{path} is HEIC: save it as JPEG, or install what reads it ({missing})") from error
-    image: Image.Image = heif.HeifImageFile(file)  # as its plugin would, with nothing registered
-    return image
 
 
 def _check_size(path: Path, image: Image.Image) -> None:
@@ -288,20 +283,6 @@ def _over(limit: int) -> str:
     return f"over {limit} in all: save it smaller"
 
 
-def _check_scans(path: Path, file: IO[bytes], image: Image.Image) -> None:
-    """Make sure that a progressive JPEG does not go over its pixels again and again, for minutes.
-
-    Raises:
-        PhotoError: If it has over `MAX_SCANS` passes.
-    """
-    if not image.info.get("progressive"):
-        return
-    file.seek(0)
-    scans = file.read().count(_SCAN)
-    if scans > MAX_SCANS:
-        raise PhotoError(f"{path} has {scans} passes over its pixels, over {MAX_SCANS}: save it anew")
-
-
 # --- RGB of eight bits, whatever the image holds -------------------------------------------
 
 
@@ -310,10 +291,19 @@ def to_rgb(image: Image.Image) -> Image.Image:
     if image.mode == "RGB" and not image.has_transparency_data:
         return image
     deep = image.mode == "F" or image.mode.startswith("I")  # grey of 16 or 32 bits or of real numbers
-    convert = _deep_grey(image) if deep else _over_white
+    if deep:
+        brightest = max(float(_values(image.crop(band)).max()) for band in _bands(image.size))
+        # Real numbers say nowhere what white is: the smallest of the usual ranges that holds them all.
+        ranges = (1.0, 255.0, 65535.0) if image.mode == "F" else (65535.0,)
+        white = next((top for top in ranges if brightest <= top), brightest)
     rgb = Image.new("RGB", image.size)
     for band in _bands(image.size):  # so that nothing is held three times over
-        rgb.paste(convert(image.crop(band)), band)
+        part = image.crop(band)
+        if deep:
+            eight = (np.clip(_values(part) / white, 0, 1) * 255 + 0.5).astype(np.uint8)
+            rgb.paste(Image.fromarray(eight), band)
+        else:
+            rgb.paste(_over_white(part), band)
     return rgb
 
 
@@ -336,15 +326,6 @@ def _over_white(image: Image.Image) -> Image.Image:
         return image.convert("RGB")
     seen = image.convert("RGBA")
     return Image.alpha_composite(Image.new("RGBA", seen.size, "white"), seen).convert("RGB")
-
-
-def _deep_grey(image: Image.Image) -> Callable[[Image.Image], Image.Image]:
-    """What brings parts of this image to eight bits: all of them by the range that the whole is kept in."""
-    brightest = max(float(_values(image.crop(band)).max()) for band in _bands(image.size))
-    # Real numbers say nowhere what white is: the smallest of the usual ranges that holds them all.
-    ranges = (1.0, 255.0, 65535.0) if image.mode == "F" else (65535.0,)
-    white = next((top for top in ranges if brightest <= top), brightest)
-    return lambda part: Image.fromarray((np.clip(_values(part) / white, 0, 1) * 255 + 0.5).astype(np.uint8))
 
 
 def _values(image: Image.Image) -> NDArray[np.float64]:

@@ -245,7 +245,12 @@ def from_exif(exif: Image.Exif) -> Position:
             where = GeoPoint(lat, lon)
     turned = _floats(gps.get(GPS.GPSImgDirection))
     heading = turned[0] % 360 if len(turned) == 1 and 0 <= turned[0] <= 360 else None
-    return Position(where, heading, _exif_time(shot))
+    tags = (Base.DateTimeOriginal, Base.OffsetTimeOriginal)
+    clock, offset = (str(shot.get(tag, "")).strip(" \0") for tag in tags)
+    for text, form in ((clock + offset, _EXIF_TIME + "%z"), (clock, _EXIF_TIME)):
+        with suppress(ValueError):
+            return Position(where, heading, datetime.strptime(text, form))
+    return Position(where, heading)
 
 
 def to_exif(position: Position) -> Image.Exif:
@@ -300,16 +305,6 @@ def _angle(value: Any, reference: object, signs: str) -> float | None:
         return None
     degrees = sum(number / float(60**i) for i, number in enumerate(numbers))
     return -degrees if letter == signs[1] else degrees
-
-
-def _exif_time(shot: dict[int, Any]) -> datetime | None:
-    text, offset = (
-        str(shot.get(tag, "")).strip(" \0") for tag in (Base.DateTimeOriginal, Base.OffsetTimeOriginal)
-    )
-    for given, form in ((text + offset, _EXIF_TIME + "%z"), (text, _EXIF_TIME)):
-        with suppress(ValueError):
-            return datetime.strptime(given, form)
-    return None
 
 
 def _degrees_minutes_seconds(degrees: float) -> list[tuple[int, int]]:
@@ -422,7 +417,7 @@ class _Table:
 
 
 def _placed(tiff: bytes, where: GeoPoint, within_m: float | None) -> bytes:
-    """The same EXIF with a position: a table of GPS tags and a first table that points to it, at its end."""
+    """The same EXIF with a position at its end: numbers, a table of GPS tags, a first table that points to it."""
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
     if order is None:
         raise PhotoError("its EXIF is damaged")
@@ -432,37 +427,26 @@ def _placed(tiff: bytes, where: GeoPoint, within_m: float | None) -> bytes:
         gps = _Table({}, 0) if old is None else _Table.read(tiff, order, struct.unpack(order + "8xI", old)[0])
     except struct.error as error:
         raise PhotoError("its EXIF is damaged") from error
-    grown = tiff + bytes(len(tiff) % 2)
-    kept = {tag: entry for tag, entry in gps.entries.items() if tag not in _SUPERSEDED}
-    grown, added = _position(grown, order, where, within_m)
-    at_gps = len(grown)
-    grown += _Table({**added, **kept}, 0).packed(order)
+    grown = tiff + bytes(len(tiff) % 2)  # numbers and tables begin at even places
+    entries = {tag: entry for tag, entry in gps.entries.items() if tag not in _SUPERSEDED}
+    # A version of the tags that stands there already is kept.
+    entries.setdefault(
+        GPS.GPSVersionID, struct.pack(order + "HHI4s", GPS.GPSVersionID, _BYTE, 4, b"\2\3\0\0")
+    )
+    south, west = b"S" if where.lat < 0 else b"N", b"W" if where.lon < 0 else b"E"
+    for tag, letter in ((GPS.GPSLatitudeRef, south), (GPS.GPSLongitudeRef, west)):
+        entries[tag] = struct.pack(order + "HHI4s", tag, _ASCII, 2, letter)
+    numbers = [
+        (GPS.GPSLatitude, _degrees_minutes_seconds(where.lat)),
+        (GPS.GPSLongitude, _degrees_minutes_seconds(where.lon)),
+    ]
+    if within_m is not None:
+        numbers.append((GPS.GPSHPositioningError, [(min(round(within_m * 100), 0xFFFFFFFF), 100)]))
+    for tag, fractions in numbers:  # too long for an entry, which says where they are
+        entries[tag] = struct.pack(order + "HHII", tag, _RATIONAL, len(fractions), len(grown))
+        grown += b"".join(struct.pack(order + "II", *fraction) for fraction in fractions)
+    pointer = struct.pack(order + "HHII", IFD.GPSInfo, _LONG, 1, len(grown))
+    grown += _Table(entries, 0).packed(order)
     at_first = len(grown)
-    pointer = struct.pack(order + "HHII", IFD.GPSInfo, _LONG, 1, at_gps)
     grown += _Table({**first.entries, IFD.GPSInfo: pointer}, first.following).packed(order)
     return grown[:4] + struct.pack(order + "I", at_first) + grown[8:]
-
-
-def _position(
-    tiff: bytes, order: str, where: GeoPoint, within_m: float | None
-) -> tuple[bytes, dict[int, bytes]]:
-    """The EXIF with the numbers of a position at its end, and the entries that name them."""
-    entries: dict[int, bytes] = {
-        GPS.GPSVersionID: struct.pack(order + "HHI4s", GPS.GPSVersionID, _BYTE, 4, b"\2\3\0\0")
-    }
-    letters = {
-        GPS.GPSLatitudeRef: b"S" if where.lat < 0 else b"N",
-        GPS.GPSLongitudeRef: b"W" if where.lon < 0 else b"E",
-    }
-    for tag, letter in letters.items():
-        entries[tag] = struct.pack(order + "HHI4s", tag, _ASCII, 2, letter)
-    numbers = {
-        GPS.GPSLatitude: _degrees_minutes_seconds(where.lat),
-        GPS.GPSLongitude: _degrees_minutes_seconds(where.lon),
-    }
-    if within_m is not None:
-        numbers[GPS.GPSHPositioningError] = [(min(round(within_m * 100), 0xFFFFFFFF), 100)]
-    for tag, fractions in numbers.items():
-        entries[tag] = struct.pack(order + "HHII", tag, _RATIONAL, len(fractions), len(tiff))
-        tiff += b"".join(struct.pack(order + "II", *fraction) for fraction in fractions)
-    return tiff, entries

@@ -67,7 +67,7 @@ def find_photos(sources: Iterable[str | Path], stdin: TextIO | None = None) -> l
         named = listed(stdin or sys.stdin) if str(source) == "-" else [Path(source)]
         for path in named:
             inside = os.path.isdir(path)  # noqa: PTH112  # Path.is_dir fails over a name too long
-            found.update(dict.fromkeys(_photos_in(path) if inside else [existing(path)]))
+            found.update(dict.fromkeys(photos_in(path) if inside else [existing(path)]))
     if not found:
         raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
     return list(found)
@@ -86,7 +86,12 @@ def listed(stdin: TextIO) -> list[Path]:
     return [Path(line) for line in lines if line.strip()]
 
 
-def _photos_in(folder: Path) -> list[Path]:
+def photos_in(folder: Path) -> list[Path]:
+    """The photos in a folder and those in it, sorted by path.
+
+    Raises:
+        PhotoError: If a folder cannot be read, or there is no photo.
+    """
     photos: list[Path] = []
     seen: set[str] = set()
 
@@ -168,6 +173,27 @@ class Row:
     path: str
     position: Position
 
+    @classmethod
+    def of(cls, line: int, fields: Mapping[str, object]) -> Row:
+        """A row from its fields.
+
+        Raises:
+            ValueError: If it makes no sense; the message says what of it.
+            PositionError: If its position is none on earth.
+        """
+        if None in fields:
+            raise ValueError("it has more fields than the header (put names with commas in quotes)")
+        texts = {name: _text(value) for name, value in fields.items()}
+        path, heading, time = (texts.get(column, "") for column in ("path", "heading", "time"))
+        if not path or "\0" in path:
+            raise ValueError("its path is empty or no file's name")
+        where = GeoPoint(_degrees(texts["lat"], "lat"), _degrees(texts["lon"], "lon"))
+        turned = _degrees(heading, "heading") % 360 if heading else None
+        try:
+            return cls(line, path, Position(where, turned, datetime.fromisoformat(time) if time else None))
+        except ValueError:
+            raise ValueError(f"its time {time!r} is not written as 2024-05-31T14:00:00") from None
+
 
 @dataclass(frozen=True, slots=True)
 class PhotoTable:
@@ -195,7 +221,7 @@ class PhotoTable:
                 has two rows.
         """
         path = Path(path)
-        lines = _read_rows(path)
+        lines = read_rows(path)
         by_place: dict[str, Row] = {}
         by_end: dict[str, Row] = {}
         for row in lines:
@@ -258,10 +284,23 @@ def _spelled(path: str) -> str:
     return unicodedata.normalize("NFC", path)
 
 
-def _read_rows(path: Path) -> list[Row]:
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a table of positions, CSV or Parquet, in order.
+
+    Raises:
+        MissingExtraError: If it is Parquet, and pyarrow is not installed.
+        PositionError: If the file or a column is missing, or a row makes no sense (named by its line).
+    """
     read = read_parquet if path.suffix.lower() == ".parquet" else read_csv
+    rows: list[Row] = []
     try:
-        return [_row(path, line, fields) for line, fields in read(path, partial(_header, path))]
+        for line, fields in read(path, partial(_header, path)):
+            try:
+                rows.append(Row.of(line, fields))
+            except (ValueError, PositionError) as error:
+                raise PositionError(
+                    f"{path}, line {line}: {error}; correct the row or leave it out"
+                ) from error
     except OSError as error:
         raise PositionError(
             f"the table {path} cannot be read ({error.strerror or error}): check the name and who may read it"
@@ -274,45 +313,21 @@ def _read_rows(path: Path) -> list[Row]:
         raise PositionError(f"the table {path} is not CSV ({error}): save it as CSV with commas") from error
     except ValueError as error:
         raise PositionError(f"the table {path} cannot be read: {error}; save it as Parquet or CSV") from error
+    return rows
 
 
 def _header(path: Path, names: list[str]) -> list[str]:
     header = [name.strip().lower() for name in names]
     for needed in _NEEDED:
         if header.count(needed) != 1:
-            found = ", ".join(map(_legible, header)) or "none"
+            # As they fit into a sentence: a table that is none may hold anything there.
+            short = [name if len(name) <= _LONG_NAME else name[:_LONG_NAME] + "..." for name in header]
+            found = ", ".join(name if name.isprintable() else repr(name) for name in short) or "none"
             raise PositionError(
                 f"the table {path} needs one column {needed!r}, but its columns are {found}: "
                 f"write path,lat,lon[,heading,time] in the first line, with commas"
             )
     return header
-
-
-def _legible(name: str) -> str:
-    """A column's name as it fits into a sentence: a table that is none may hold anything there."""
-    name = name if len(name) <= _LONG_NAME else name[:_LONG_NAME] + "..."
-    return name if name.isprintable() else repr(name)
-
-
-def _row(path: Path, line: int, fields: Mapping[str, object]) -> Row:
-    try:
-        texts = _texts(fields)
-        heading, time = texts.get("heading"), texts.get("time")
-        where = GeoPoint(_degrees(texts["lat"], "lat"), _degrees(texts["lon"], "lon"))
-        turned = _degrees(heading, "heading") % 360 if heading else None
-        return Row(line, texts["path"], Position(where, turned, _time(time) if time else None))
-    except (ValueError, PositionError) as error:
-        raise PositionError(f"{path}, line {line}: {error}; correct the row or leave it out") from error
-
-
-def _texts(fields: Mapping[str, object]) -> dict[str, str]:
-    """A row's values as texts, a path among them."""
-    if None in fields:
-        raise ValueError("it has more fields than the header (put names with commas in quotes)")
-    texts = {name: _text(value) for name, value in fields.items()}
-    if not texts["path"] or "\0" in texts["path"]:
-        raise ValueError("its path is empty or no file's name")
-    return texts
 
 
 def _text(value: object) -> str:
@@ -328,9 +343,3 @@ def _degrees(text: str, column: str) -> float:
         if abs(number) <= 1e6:  # neither nan nor infinite, nor so large that a turn is lost in rounding
             return number
     raise ValueError(f"its {column} {text!r} is not a number of degrees")
-
-
-def _time(text: str) -> datetime:
-    with suppress(ValueError):
-        return datetime.fromisoformat(text)
-    raise ValueError(f"its time {text!r} is not written as 2024-05-31T14:00:00")

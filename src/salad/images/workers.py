@@ -252,49 +252,53 @@ class _Process:
                 _end(self._process)
                 self._process = None
             if self._process is None and not self._alone:
-                self._process = _start()
+                self._process = self._start()
                 self._alone = self._process is None
             return self._process
+
+    @staticmethod
+    def _start() -> Popen | None:
+        """A process that said it is ready, or None."""
+        process: Popen | None = None
+        # The folders we import from, which a script may have added to; one thread for numpy, which has little to do.
+        folders = os.pathsep.join(folder for folder in sys.path if folder)
+        settings = {"PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _STARTER],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **settings},
+                start_new_session=True,  # Ctrl-C goes to every process of a session
+            )
+            if process.stdout is not None and pickle.load(process.stdout) == READY:
+                return process
+        except (OSError, ValueError, EOFError, pickle.UnpicklingError):
+            pass
+        if process is not None:
+            _end(process)
+        return None
 
     def _failed(self, process: Popen, path: Path) -> Exception:
         """What to say of a process whose answer did not come."""
         with suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
-        cause = _cause(process.returncode)
+        code = process.returncode
         _end(process)
         if self._closed:
             return PhotoError(f"{path} was not read, since the reading of photos was stopped: run it again")
         if self._late.is_set():
             return PhotoError(f"{path} took over {self._seconds:g} s to read: save it anew or leave it out")
-        return _DiedError(cause)
+        if code is None or code >= 0:
+            return _DiedError(f"exit code {code}")
+        with suppress(ValueError):
+            return _DiedError(signal.Signals(-code).name)
+        return _DiedError(f"signal {-code}")
 
     def _give_up(self, process: Popen) -> None:
         self._late.set()
         process.kill()
-
-
-def _start() -> Popen | None:
-    """A process that said it is ready, or None."""
-    process: Popen | None = None
-    # The folders we import from, which a script may have added to; and one thread for numpy, which has little to do.
-    folders = os.pathsep.join(folder for folder in sys.path if folder)
-    settings = {"PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _STARTER],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, **settings},
-            start_new_session=True,  # Ctrl-C goes to every process of a session
-        )
-        if process.stdout is not None and pickle.load(process.stdout) == READY:
-            return process
-    except (OSError, ValueError, EOFError, pickle.UnpicklingError):
-        pass
-    if process is not None:
-        _end(process)
-    return None
 
 
 def _end(process: Popen) -> None:
@@ -305,14 +309,6 @@ def _end(process: Popen) -> None:
         if stream is not None:
             with suppress(OSError):  # what was not sent is of no use any more
                 stream.close()
-
-
-def _cause(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    with suppress(ValueError):
-        return signal.Signals(-code).name
-    return f"signal {-code}"
 
 
 # --- a worker process, seen from inside ----------------------------------------------------

@@ -223,12 +223,13 @@ class _Run:
 
     def _skip(self, item: _Item, held: Photo) -> None:
         """Note what is new of a photo that the index holds: nothing, where it is the one it holds."""
-        path = Path(os.path.realpath(item.path))
+        path, photo = Path(os.path.realpath(item.path)), item.photo
+        news = ((photo.where, held.where), (photo.heading, held.heading), (photo.time, held.time))
         if path != held.path and _in_place(held.path, item.content_hash):
             self.result.twins.append(
                 f"{item.path} is a copy of {held.path}, which is in the index: it was skipped"
             )
-        elif path != held.path or _tells_more(item.photo, held):
+        elif path != held.path or any(new is not None and new != old for new, old in news):
             self.result.moved += path != held.path
             self._stale.append(item)
             if len(self._stale) >= _STALE:
@@ -246,8 +247,3 @@ def _in_place(path: Path, content: str) -> bool:
         return content_hash(path) == content
     except SaladError:
         return False
-
-
-def _tells_more(photo: Photo, held: Photo) -> bool:
-    news = (photo.where, held.where), (photo.heading, held.heading), (photo.time, held.time)
-    return any(new is not None and new != old for new, old in news)
