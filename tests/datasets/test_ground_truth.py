@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salad.datasets.compact_lists import Ragged
-from salad.datasets.ground_truth import Names, looking_alike
+from salad.datasets.ground_truth import PhotoNames, looking_alike
 from salad.errors import BenchmarkError
 from salad.images.photo import Photo
 
 FOLDER = Path("set/refs")
-NAMES = Names(FOLDER, [FOLDER / name for name in ("a.jpg", "in/b.jpg", "in/c.jpg", "on/c.jpg")])
+NAMES = PhotoNames(FOLDER, [FOLDER / name for name in ("a.jpg", "in/b.jpg", "in/c.jpg", "on/c.jpg")])
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from salad.datasets.compact_lists import Ragged, positions
 from salad.datasets.folders import frame, two_folders
-from salad.datasets.ground_truth import Names, looking_alike, read_truth
+from salad.datasets.ground_truth import PhotoNames, looking_alike, read_truth
 from salad.datasets.neighbours import near_on_earth
 from salad.errors import BenchmarkError
 from salad.images.metadata import parse_at_name
@@ -116,7 +116,7 @@ def from_truth(references: Path, queries: Path, truth_csv: Path, *, name: str | 
         PhotoError: If a folder is missing or holds no photo.
     """
     reference_paths, query_paths = two_folders(references, queries)
-    truth = read_truth(truth_csv, Names(references, reference_paths), Names(queries, query_paths))
+    truth = read_truth(truth_csv, PhotoNames(references, reference_paths), PhotoNames(queries, query_paths))
     left_out = len(query_paths) - len(truth)
     # Left out in silence, a forgotten line would look like an easier set.
     note = f"{left_out} photos of {queries} are not in {truth_csv.name} and were left out"
@@ -201,6 +201,7 @@ def from_radius(
     if not (metres > 0 and math.isfinite(metres)):
         raise BenchmarkError(f"a radius of {metres} m makes no sense: give a positive number of metres")
     reference_paths, query_paths = two_folders(references, queries)
+    # With a tolerance of headings, a photo that says only where it stands is opened for the rest.
     reference_photos = tuple(_known(path, table, heading is not None) for path in reference_paths)
     query_photos = tuple(_known(path, table, heading is not None) for path in query_paths)
     ours, theirs = _positions(query_photos, "query"), _positions(reference_photos, "reference")

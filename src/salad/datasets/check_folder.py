@@ -10,8 +10,8 @@ from salad.datasets.protocols import PROTOCOLS, benchmark_of, differences, layou
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
 
-Read = dict[tuple[object, ...], Sides | BenchmarkError]
-"""What layouts were found to hold, by all that decides it."""
+# What layouts were found to hold, by all that decides it: many protocols find the same `@` names in a folder.
+Held = dict[tuple[object, ...], Sides | BenchmarkError]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,9 @@ def check(root: Path) -> list[Finding]:
     if not root.is_dir():
         raise BenchmarkError(f"there is no folder {root}: give the folder of a data set")
     name = root.resolve().name.lower()
-    read: Read = {}
+    held: Held = {}
     findings = [
-        _finding(root, protocol, layout, read)
+        _finding(root, protocol, layout, held)
         for protocol in PROTOCOLS.values()
         for layout in layouts_in(root, protocol)
         # Any set may come in `@` names; without counts to compare, only the folder's name can say that it is meant.
@@ -60,17 +60,17 @@ def check(root: Path) -> list[Finding]:
     return sorted(findings, key=lambda finding: not finding.fits)
 
 
-def _finding(root: Path, protocol: Protocol, layout: Layout, read: Read) -> Finding:
+def _finding(root: Path, protocol: Protocol, layout: Layout, held: Held) -> Finding:
     """What a protocol finds by a layout, which is read at most once for all protocols that find the same in it."""
     key: tuple[object, ...] = (layout.name, layout.find(root, protocol), protocol.sides)
     if layout.name != "@ names":  # which read the same whoever asks, and may be millions
         key += (protocol.subset, protocol.zone, protocol.rule)
-    if key not in read:
+    if key not in held:
         try:
-            read[key] = layout.read(root, protocol)
+            held[key] = layout.read(root, protocol)
         except BenchmarkError as error:
-            read[key] = error
-    sides = read[key]
+            held[key] = error
+    sides = held[key]
     if isinstance(sides, BenchmarkError):
         return Finding(protocol.name, layout.name, None, None, None, False, (str(sides),))
     unanswerable, wrong = None, list[str]()

@@ -132,7 +132,7 @@ class PhotoList(_MadeOnRequest[Photo]):
 
 def positions(photos: Sequence[Photo]) -> Float64[np.ndarray, "n 2"]:
     """Latitudes and longitudes in degrees, NaN where a photo has none; at once where photos are a `PhotoList`."""
-    if isinstance(photos, PhotoList):
+    if isinstance(photos, PhotoList):  # whose array is there already: no photo need be made
         return photos.where
     known = (photo.where for photo in photos)
     pairs = [(math.nan, math.nan) if where is None else (where.lat, where.lon) for where in known]

@@ -15,7 +15,7 @@ from salad.images.photo import Photo
 from salad.tables import CsvError, read_csv
 
 
-class Names:
+class PhotoNames:
     """Finds a photo of one folder by its path below the folder, or by its bare name where only one bears it.
 
     Args:
@@ -57,7 +57,7 @@ class Names:
         return rows[0]
 
 
-def read_truth(truth_csv: Path, references: Names, queries: Names) -> dict[int, list[int]]:
+def read_truth(truth_csv: Path, references: PhotoNames, queries: PhotoNames) -> dict[int, list[int]]:
     """Read a table `query,positives`, positives separated by `;`; other columns are ignored.
 
     Returns:

@@ -29,7 +29,7 @@ from salad.geo import GeoPoint, centre
 from salad.images.photo import SUFFIXES
 from salad.tables import CsvError, csv_line, read_csv
 
-NAME = "places.csv"
+PLACES_TABLE = "places.csv"
 """What such a table is called in a folder of sets."""
 COLUMNS = ("path", "place", "city", "lat", "lon", "heading", "time")
 
@@ -53,7 +53,7 @@ def find_places(root: Path, *, say: Say | None = None) -> list[TrainingPlace]:
         raise BenchmarkError(f"there is no folder {root} to train from")
     if not places:
         raise BenchmarkError(
-            f"{root} holds no place to learn from: expected GSV-Cities' Dataframes/ and Images/, a {NAME} "
+            f"{root} holds no place to learn from: expected GSV-Cities' Dataframes/ and Images/, a {PLACES_TABLE} "
             f"as 'salad places' writes it, or one folder of at least {FEWEST} photos a place"
         )
     return places
@@ -63,11 +63,11 @@ def _places(root: Path, say: Say | None) -> list[TrainingPlace]:
     """The places of one folder, by whichever layout it is in."""
     if is_gsv_cities(root):
         return read_gsv_cities(root, say=say)
-    if (root / NAME).is_file():
-        return read_places(root / NAME, say=say)
+    if (root / PLACES_TABLE).is_file():
+        return read_places(root / PLACES_TABLE, say=say)
     children = sorted(child for child in root.iterdir() if child.is_dir())
     # A folder of sets may hold photos in its sets' folders too; of folders that are no sets, each is a place.
-    if not any(is_gsv_cities(child) or (child / NAME).is_file() for child in children):
+    if not any(is_gsv_cities(child) or (child / PLACES_TABLE).is_file() for child in children):
         found = []
         for folder in children:
             files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
@@ -96,6 +96,7 @@ def split(
     learn: list[TrainingPlace] = []
     choose: list[TrainingPlace] = []
     for city in by_city(places).values():
+        # City by city, so that a small one is not held out as a whole by chance.
         aside = set(rng.permutation(len(city))[: round(held_out * len(city))].tolist())
         for number, place in enumerate(city):
             (choose if number in aside else learn).append(places[place])
@@ -162,6 +163,7 @@ def read_places(table: Path, *, say: Say | None = None) -> list[TrainingPlace]:
     for (city, name), rows in taken.items():
         if len(rows) >= FEWEST:
             points = [row.where for row in rows if row.where is not None]
+            # Where only some photos say where they were taken, the others may be anywhere.
             where = centre(points) if len(points) == len(rows) else None
             dated = sorted(rows, key=lambda row: clock(row.time))
             places.append(TrainingPlace(name, city, tuple(row.path for row in dated), where))
