@@ -84,6 +84,7 @@ with Index.open(sys.argv[1]) as index:
     sys.stdin.readline()  # so that all begin at once
     for _ in range(5):
         found = index.search(np.load(sys.argv[2]), k=6, centred=True)
+    assert "torch" not in sys.modules
     print(json.dumps([[(m.photo.path.name, m.score, m.row) for m in best] for best in found]))
 """
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from salad.errors import StoreError
@@ -34,6 +35,16 @@ def agree(
     assert same(found, PlainSearcher(rows).search(queries, k=k, allowed=allowed))
 
 
+@pytest.fixture(params=["float16", "bfloat16"])
+def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Search by either arithmetic, whatever the processor has and however few rows and queries are."""
+    monkeypatch.setattr(exact, "_MANY_ROWS", 0)
+    monkeypatch.setattr(exact, "_MANY_QUERIES", 0)
+    monkeypatch.setattr(exact, "_FEW", 100)
+    monkeypatch.setattr(exact, "_multiplies_bfloat16", lambda: request.param == "bfloat16")
+    return str(request.param)
+
+
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks, batches and the rest so small that little data needs many, and several threads."""
@@ -48,7 +59,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(exact, name, size)
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32 - 1),
     rows=st.integers(0, 60),
@@ -60,7 +71,15 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     longest=st.sampled_from([LONGEST_UNIT, None]),
 )
 def test_it_is_the_plainest(
-    seed: int, rows: int, queries: int, dim: int, k: int, copies: bool, kind: type, longest: float | None
+    kernel: str,
+    seed: int,
+    rows: int,
+    queries: int,
+    dim: int,
+    k: int,
+    copies: bool,
+    kind: type,
+    longest: float | None,
 ) -> None:
     rng = np.random.default_rng(seed)
     matrix = unit(rng, rows, dim).astype(kind)
@@ -69,7 +88,7 @@ def test_it_is_the_plainest(
     agree(ArrayRows(matrix, longest=longest), unit(rng, queries, dim), k=k, allowed=rng.random(rows) < 0.8)
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32 - 1),
     dim=st.integers(1, 70),
@@ -79,7 +98,7 @@ def test_it_is_the_plainest(
     queries_at=st.floats(-30, 30),
 )
 def test_rows_and_queries_may_have_any_length(
-    seed: int, dim: int, k: int, rows_at: float, rows_apart: float, queries_at: float
+    kernel: str, seed: int, dim: int, k: int, rows_at: float, rows_apart: float, queries_at: float
 ) -> None:
     rng = np.random.default_rng(seed)
     lengths = 10.0 ** (rows_at - rows_apart * rng.random((50, 1)))
@@ -94,9 +113,10 @@ def test_rows_and_queries_may_have_any_length(
     kind=st.sampled_from([np.float16, np.float32]),
     spread=st.floats(0, 9),
     signs=st.sampled_from(["one", "both", "cancel"]),
+    kernel=st.sampled_from([exact._HALF, exact._COARSE]),
 )
 def test_no_score_is_off_by_more_than_the_bound(
-    seed: int, dim: int, kind: type, spread: float, signs: str
+    seed: int, dim: int, kind: type, spread: float, signs: str, kernel: exact._Kernel
 ) -> None:
     """Of numbers large and small, all of one sign, so that every rounding goes one way, or such that all cancel."""
     rng = np.random.default_rng(seed)
@@ -111,7 +131,7 @@ def test_no_score_is_off_by_more_than_the_bound(
     held = ArrayRows(rows.astype(kind))
     asked = queries.astype(np.float32)
     candidates = exact._Candidates(held, asked, k=6)
-    exact._Batch(asked, candidates).offer(exact._Reader(held, 6, None).read(0, 6))
+    exact._Batch(asked, candidates, kernel).offer(exact._Reader(held, 6, None, kernel).read(0, 6))
     ((query, row, low, high),) = candidates._new
     assert len(row) == 30
     scores = (held.take(row).astype(np.float64) * asked[query]).sum(axis=1)
@@ -127,7 +147,7 @@ def alike(rng: np.random.Generator, kind: type) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 @pytest.mark.parametrize("k", [1, 5, 31, 40])
-def test_scores_that_rounding_hides_are_told_apart(k: int, kind: type) -> None:
+def test_scores_that_rounding_hides_are_told_apart(kernel: str, k: int, kind: type) -> None:
     rng = np.random.default_rng(23)
     matrix = alike(rng, kind)
     asked = matrix[[3, 700, 900]].astype(np.float32) + unit(rng, 3, 512) * np.float32(1e-4)
@@ -136,7 +156,7 @@ def test_scores_that_rounding_hides_are_told_apart(k: int, kind: type) -> None:
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_blocks_batches_and_threads_do_not_show(small: None, threads: int, kind: type) -> None:
+def test_blocks_batches_and_threads_do_not_show(kernel: str, small: None, threads: int, kind: type) -> None:
     rng = np.random.default_rng(3)
     matrix = np.repeat(unit(rng, 70, 16), 3, axis=0).astype(kind)
     allowed = rng.random(210) < 0.5
@@ -155,7 +175,7 @@ def test_rows_that_are_all_one_take_no_memory_for_each() -> None:
     rows = ArrayRows(np.ones((3000, 4), np.float16))
     asked = np.ones((2, 4), np.float32)
     candidates = exact._Candidates(rows, asked, k=2)
-    batch, reader = exact._Batch(asked, candidates), exact._Reader(rows, 10, None)
+    batch, reader = exact._Batch(asked, candidates, exact._HALF), exact._Reader(rows, 10, None, exact._HALF)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(exact, "_CANDIDATES", 100)
         for start in range(0, 3000, 10):
@@ -182,7 +202,7 @@ def test_equal_rows_come_out_in_order_of_row_wherever_they_stand() -> None:
 # --- damage ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32 - 1),
     hurt=st.lists(
@@ -193,7 +213,7 @@ def test_equal_rows_come_out_in_order_of_row_wherever_they_stand() -> None:
     kind=st.sampled_from([np.float16, np.float32]),
 )
 def test_damaged_rows_are_never_ahead_and_harm_no_other(
-    seed: int, hurt: list[tuple[int, float, bool]], k: int, kind: type
+    kernel: str, seed: int, hurt: list[tuple[int, float, bool]], k: int, kind: type
 ) -> None:
     rng = np.random.default_rng(seed)
     matrix, sound = unit(rng, 60, 12).astype(kind), np.ones(60, bool)
@@ -324,6 +344,26 @@ def test_blocks_without_an_allowed_row_are_not_read(small: None) -> None:
     found = ExactSearcher(rows, threads=1).search(np.ones((1, 16)), k=5, allowed=allowed)
     assert sorted(found.rows[0].tolist()) == [-1, -1, -1, 3, 150]
     assert len(read) < 20
+
+
+@pytest.mark.parametrize("has", [{}, {"genoa": False}, {"genoa": True}, {"neonbfdot": True}])
+def test_many_queries_of_many_rows_are_rounded_more_where_that_is_quicker(
+    has: dict[str, bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernels = list[str]()
+    reader = exact._Reader
+
+    def watched(*given: Any) -> object:
+        kernels.append(given[-1].name)
+        return reader(*given)
+
+    monkeypatch.setattr(exact, "_Reader", watched)
+    monkeypatch.setattr(exact.numkong, "get_capabilities", lambda: has)
+    rng = np.random.default_rng(41)
+    rows = ArrayRows(unit(rng, 17000, 8).astype(np.float16))
+    for queries, k in ((16, 32), (15, 32), (16, 33)):
+        agree(rows, unit(rng, queries, 8), k=k)
+    assert kernels == ["bfloat16" if any(has.values()) else "float16", "float16", "float16"]
 
 
 def test_threads_are_as_many_as_processors_unless_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,17 +7,18 @@ scored once more in float64, each pair by itself. So equal rows have equal score
 nor threads nor the processor's kernels show in the result, and ties are in order of row.
 
 The bound. Let s q be a query and t r a row, at scales s and t that are powers of two, and h and g the same rounded to
-float16. The kernel multiplies h and g without error (two numbers of 11 bits make one of 22, and float32 holds 24) and
-adds in float32, in an order of its own. To add n numbers in whatever order is off by at most gamma = n u / (1 - n u)
-times the sum of their sizes, u = 2^-24 (Higham, "Accuracy and Stability of Numerical Algorithms", section 4.2), and by
-Cauchy and Schwarz that sum is at most |h| |g|. So
+the kernel's type, float16 or bfloat16. The kernel multiplies h and g without error (two numbers of 11 bits make one of
+22, two of 8 bits one of 16, and float32 holds 24) and adds in float32, in an order of its own. To add n numbers in
+whatever order is off by at most gamma = n u / (1 - n u) times the sum of their sizes, u being what one addition may be
+off by (Higham, "Accuracy and Stability of Numerical Algorithms", section 4.2); and by Cauchy and Schwarz that sum is at
+most |h| |g|. So
 
     |kernel(h, g) - (s q) . (t r)| <= gamma |h| |g| + |h| |g - t r| + |h - s q| |t r|
 
-where |h| and |h - s q| are known of each query, and |t r| is at most t times the longest row. |g - t r| is 0 for rows
-of float16; for rows of float32 it is at most 2^-11 of their length, and 2^-25 for each number too small to be rounded
-so well. Nothing overflows, since the scales keep h and g below 2^16, and nothing is lost below either, since a product
-of two numbers of float16 is 2^-48 at least.
+where |h| and |h - s q| are known of each query, and |t r| is at most t times the longest row. |g - t r| is 0 where the
+rows are of the kernel's type; else it is at most 2^-11 of their length for float16, 2^-8 for bfloat16, and 2^-25 for
+each number too small to be rounded so well. Nothing overflows, since the scales keep h and g below 2^16, and what is
+lost below is less than that: a product of two numbers of float16 is 2^-48 at least, and float32 holds 2^-126.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from queue import Empty, SimpleQueue
 from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numkong
 import numpy as np
@@ -63,8 +64,36 @@ _BATCH = 96
 _TOGETHER = 1 << 26
 # Candidates of a batch; more are scored exactly at once, so that memory stays small even where all rows are alike.
 _CANDIDATES = 1 << 20
+# Where the processor multiplies bfloat16 by itself, kernels take half the time for it. But it leaves more rows to be
+# scored exactly; so it pays where rows and queries are many, and few matches are wanted of each.
+_BFLOAT16 = ("genoa", "sapphireamx", "neonbfdot", "smebf16")  # NumKong's names for such processors
+_MANY_ROWS, _MANY_QUERIES, _FEW = 1 << 14, 16, 32
 _PAIRS = 1 << 17  # numbers scored exactly at a time: 1 MiB of float64
 _WORK = 1 << 22  # multiplications that are worth a thread
+
+
+class _Kernel(NamedTuple):
+    """What numbers are rounded to before they are multiplied.
+
+    Attributes:
+        name: NumKong's name of the type.
+        rounding: What rounding a number to it may take off it, as a part of the number.
+        adding: The same of adding two sums: float32's 2^-24, or twice that where an instruction need not round to the
+            nearest, as Arm's for bfloat16 does not.
+    """
+
+    name: Literal["float16", "bfloat16"]
+    rounding: float
+    adding: float
+
+    def gamma(self, count: int) -> float:
+        """The bound's gamma for so many numbers; two more are to spare for what float64 rounds in the rest of it."""
+        off = (count + 2) * self.adding
+        return off / (1 - off)
+
+
+_HALF = _Kernel("float16", 2.0**-11, 2.0**-24)
+_COARSE = _Kernel("bfloat16", 2.0**-8, 2.0**-23)
 
 
 class ExactSearcher:
@@ -123,7 +152,11 @@ class ExactSearcher:
 
     def _search(self, queries: Queries, k: int, allowed: Mask | None) -> list[Hits]:
         """Let all rows pass by these queries; what was found for each batch of them."""
-        batches = [_Batch(some, _Candidates(self._rows, some, k)) for some in _pieces(queries, _BATCH)]
+        many = len(self) >= _MANY_ROWS and len(queries) >= _MANY_QUERIES and k <= _FEW
+        kernel = _COARSE if many and _multiplies_bfloat16() else _HALF
+        batches = [
+            _Batch(some, _Candidates(self._rows, some, k), kernel) for some in _pieces(queries, _BATCH)
+        ]
         threads = max(1, min(self._threads, len(self) * self.dim * len(queries) // _WORK))
         # Four blocks a thread at least, so that a slow one does not keep the others waiting.
         size = max(1, min(_BLOCK // self.dim, -(-len(self) // (4 * threads))))
@@ -131,7 +164,7 @@ class ExactSearcher:
 
         def sweep(_: int) -> None:
             try:
-                reader = _Reader(self._rows, size, allowed)
+                reader = _Reader(self._rows, size, allowed, kernel)
                 for start, stop in todo:
                     block = reader.read(start, stop)
                     for batch in batches:
@@ -165,6 +198,11 @@ def _processors() -> int:
     return len(may(0)) if may else os.cpu_count() or 1
 
 
+def _multiplies_bfloat16() -> bool:
+    has = numkong.get_capabilities()
+    return any(has.get(name) for name in _BFLOAT16)
+
+
 class _Todo:
     """Blocks that nobody has begun yet: (first row, row behind the last). Threads share it.
 
@@ -196,15 +234,15 @@ class _Ready(NamedTuple):
 
     Attributes:
         first: Number of the first row.
-        half: `[n, dim]`, `scale` times the rows, rounded to float16.
+        rounded: `[n, dim]`, `scale` times the rows, in the kernel's type.
         scale: A power of two.
         longest: No sound row is longer than this.
-        off: How far a row of `half` is at most from `scale` times the row.
+        off: How far a row of `rounded` is at most from `scale` times the row.
         allowed: `[n]`, or None for all.
     """
 
     first: int
-    half: Block
+    rounded: Any
     scale: float
     longest: float
     off: float
@@ -214,11 +252,12 @@ class _Ready(NamedTuple):
 class _Reader:
     """Reads blocks for one thread; its memory is used again for each."""
 
-    def __init__(self, rows: Rows, size: int, allowed: Mask | None) -> None:
-        self._rows, self._allowed = rows, allowed
+    def __init__(self, rows: Rows, size: int, allowed: Mask | None, kernel: _Kernel) -> None:
+        self._rows, self._allowed, self._kernel = rows, allowed, kernel
         shape = (min(size, len(rows)), rows.dim)
         self._spare: Block = np.empty(shape, dtype=rows.dtype)
-        self._half: Block = np.empty(shape if rows.dtype == np.float32 else (0, 0), dtype=np.float16)
+        # A tensor of NumKong's, since numpy knows no bfloat16.
+        self._rounded: Any = None if rows.dtype == kernel.name else numkong.empty(shape, dtype=kernel.name)
 
     def read(self, start: int, stop: int) -> _Ready:
         """Rows from `start` to `stop`; fewer where the last are lost.
@@ -231,14 +270,14 @@ class _Reader:
         longest = self._rows.longest
         if longest is None:
             longest = _longest(block, start)
-        if block.dtype == np.float16:
+        if self._rounded is None or not len(block):
             return _Ready(start, block, 1.0, longest, 0.0, allowed)
-        scale = _scale_to_half(longest)
-        half = self._half[: len(block)]
+        scale = _scale_to_half(longest) if block.dtype == np.float32 else 1.0
+        rounded = self._rounded[: len(block)]
         with np.errstate(all="ignore"):  # a damaged row may overflow, and shows by that
-            _round(block if scale == 1 else block * np.float32(scale), half)
-        off = 2.0**-11 * scale * longest + 2.0**-25 * np.sqrt(self._rows.dim)
-        return _Ready(start, half, scale, longest, off, allowed)
+            numkong.astype(block if scale == 1 else block * np.float32(scale), self._kernel.name, out=rounded)
+        off = self._kernel.rounding * scale * longest + 2.0**-25 * np.sqrt(self._rows.dim)
+        return _Ready(start, rounded, scale, longest, off, allowed)
 
 
 def _longest(block: Block, start: int) -> float:
@@ -251,7 +290,7 @@ def _longest(block: Block, start: int) -> float:
         raise DamagedRowError(start + int(bad[0]))
     # The sum is off by gamma, and squares below 2^-149 are lost in it.
     found = float(np.sqrt(squares.max(initial=0), dtype=np.float64))
-    return found * (1 + _gamma(block.shape[1])) + 2.0**-74 * float(np.sqrt(block.shape[1]))
+    return found * (1 + _HALF.gamma(block.shape[1])) + 2.0**-74 * float(np.sqrt(block.shape[1]))
 
 
 def _scale_to_half(longest: float) -> float:
@@ -259,18 +298,6 @@ def _scale_to_half(longest: float) -> float:
     if 2.0**-4 <= longest < 2.0**15:
         return 1.0
     return 2.0 ** min(100, 15 - int(np.frexp(longest)[1]))  # float32 holds no factor much larger
-
-
-def _gamma(count: int) -> float:
-    """The bound's gamma for so many numbers; two more are to spare for what float64 rounds in the rest of it."""
-    off: float = (count + 2) * 2.0**-24
-    return off / (1 - off)
-
-
-def _round(wide: Block, half: Block) -> None:
-    """Round to float16, ties to even: ten times as fast as numpy does it."""
-    if wide.size:  # NumKong takes no empty array
-        numkong.astype(wide, "float16", out=half)
 
 
 def _widened(block: Block) -> Single:
@@ -283,32 +310,31 @@ def _widened(block: Block) -> Single:
 class _Batch:
     """Queries that are multiplied with a block at one stroke, and the candidates of each so far."""
 
-    def __init__(self, queries: Queries, candidates: _Candidates) -> None:
+    def __init__(self, queries: Queries, candidates: _Candidates, kernel: _Kernel) -> None:
         """Round and pack queries `[Q, dim]`."""
         self.candidates = candidates
+        self._gamma = kernel.gamma(queries.shape[1])
         # float16 reaches from 2^-24 to 2^16, and a query may have any length: a power of two, which changes no order,
-        # brings its largest number just below 2^15.
+        # brings its largest number just below 2^15. That bfloat16 reaches further is no harm.
         power = 15 - np.frexp(np.abs(queries).max(axis=1))[1]
         scaled = np.ldexp(queries.astype(np.float64), power[:, None])
-        half = np.empty(queries.shape, dtype=np.float16)
-        _round(scaled.astype(np.float32), half)
-        self._packed = numkong.dots_pack(half)
+        rounded = numkong.astype(scaled.astype(np.float32), kernel.name)
+        wide = np.asarray(numkong.astype(rounded, "float32")).astype(np.float64)
+        self._packed = numkong.dots_pack(rounded)
         self._scale: Scores = np.ldexp(1.0, power)
-        self._length: Scores = np.linalg.norm(half.astype(np.float64), axis=1)
-        self._off: Scores = np.linalg.norm(half - scaled, axis=1)
+        self._length: Scores = np.linalg.norm(wide, axis=1)
+        self._off: Scores = np.linalg.norm(wide - scaled, axis=1)
 
     def offer(self, block: _Ready) -> None:
         """Take the candidates among a block's rows."""
-        if not len(block.half):
+        if not len(block.rounded):
             return
         reach = block.scale * block.longest
-        off = (
-            self._length * (_gamma(block.half.shape[1]) * (reach + block.off) + block.off) + self._off * reach
-        )
+        off = self._length * (self._gamma * (reach + block.off) + block.off) + self._off * reach
         # No sound row scores above this, or below its opposite; NaN and infinity show by it too.
         most = (self._length + self._off) * reach + off
         scale = self._scale * block.scale
-        scores: Single = np.asarray(numkong.dots_packed(block.half, self._packed))
+        scores: Single = np.asarray(numkong.dots_packed(block.rounded, self._packed))
         near = scores >= _below(np.maximum(self.candidates.reached() * scale - off, -most))
         if block.allowed is not None and not block.allowed.all():
             near &= block.allowed[:, None]
