@@ -22,7 +22,7 @@ from salad.evaluation.bootstrap import (
     by_query,
     nested,
     percentile_interval,
-    share_interval,
+    proportion_interval,
 )
 
 Sample = Callable[[np.random.Generator], tuple[np.ndarray, list[str]]]
@@ -46,7 +46,7 @@ def of_share(hits: np.ndarray, plan: Resampling, *, seed: int = 0) -> Interval:
         100 * (some @ hits) / some.sum(axis=1) for some in replace(plan, seed=seed, times=TIMES).weights()
     ]
     share = 100 * float(hits.mean())
-    return share_interval(share, np.concatenate(draws), units=plan.units, counted=len(hits))
+    return proportion_interval(share, np.concatenate(draws), units=plan.units, counted=len(hits))
 
 
 def alone(hits: np.ndarray, _: list[str]) -> Resampling:
@@ -160,7 +160,7 @@ def test_few_units_are_believed_as_student_has_it() -> None:
     # Half of the queries right, drawn as far apart as independent ones: against a table of Student's quantiles.
     for units, quantile in {4: 3.182, 6: 2.571, 31: 2.042, 1001: 1.962, 2: 12.706, 1: 12.706}.items():
         spread = 100 * math.sqrt(0.25 / 400 * max(1, units - 1) / units)  # what makes 400 queries worth 400
-        one = share_interval(50.0, np.array([50 - spread, 50 + spread]), units=units, counted=400)
+        one = proportion_interval(50.0, np.array([50 - spread, 50 + spread]), units=units, counted=400)
         half = math.sqrt(quantile**2 / 1600 + quantile**4 / 640_000) / (1 + quantile**2 / 400)
         assert one.as_list() == pytest.approx([50 - 100 * half, 50 + 100 * half], abs=0.01)
 

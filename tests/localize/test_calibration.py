@@ -89,8 +89,8 @@ def test_the_fit_is_the_optimum_without_negative_weights(seed: int, weights: lis
     sure = 1 / (1 + np.exp(-(bias + signed @ found)))
     slope = ((signed - signed.mean(axis=0)) / scale).T @ (weight * (sure - right)) + found * scale
     assert abs(weight @ (sure - right)) < 1e-3
-    assert np.allclose(slope[found > 0], 0, atol=1e-5)
-    assert (slope[found == 0] > -1e-5).all()
+    assert np.allclose(slope[found > 0], 0, atol=1e-8)
+    assert (slope[found == 0] > -1e-8).all()
 
 
 def test_the_fit_does_not_care_for_units() -> None:

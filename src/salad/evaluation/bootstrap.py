@@ -189,25 +189,27 @@ def block_length(series: Float64[np.ndarray, " frames"]) -> int:
         # A flat-top window: whole up to half the reach, then falling to 0.
         tapered = np.clip(2 * (1 - lag / max(reach, 1)), 0, 1) * covariance[1 : reach + 1]
         long_run, slope = variance + 2 * float(tapered.sum()), 2 * float((lag * tapered).sum())
-        if long_run > 0:  # 1.5 is the circular bootstrap's constant: the variance of its variance goes by 4/3
+        if (
+            long_run > 0
+        ):  # (2 slope^2 / D)^(1/3) in their words, where D = 4/3 long_run^2 is the circular bootstrap's
             length = max(length, (1.5 * slope**2 / long_run**2 * count) ** (1 / 3))
     return max(1, min(2 * math.ceil(length), count // 6))
 
 
-def share_interval(
-    share: float, draws: Float64[np.ndarray, " draws"], *, units: int, counted: int
+def proportion_interval(
+    percent: float, draws: Float64[np.ndarray, " draws"], *, units: int, counted: int
 ) -> Interval:
-    """The interval of a share, in percent.
+    """The interval of a proportion, in percent: Wilson's, of as many queries as the draws say they are worth.
 
     Args:
-        share: What was found, in percent.
+        percent: What was found.
         draws: The same of each draw.
         units: How many things that do not hang together were drawn from.
-        counted: How many queries the share is of: it is never taken for surer than that many independent ones.
+        counted: How many queries it is of: it is never taken for surer than that many independent ones.
     """
     from scipy.special import stdtrit  # late: whoever only reads a saved result does without scipy
 
-    part = share / 100
+    part = percent / 100
     # Drawn from themselves, units vary too little: by n - 1 of n.
     spread = float(np.var(draws / 100)) * units / max(1, units - 1)
     worth = part * (1 - part) / spread if spread > 1e-15 else math.inf

@@ -21,7 +21,7 @@ from salad.evaluation.bootstrap import (
     SamplingDesign,
     nested,
     percentile_interval,
-    share_interval,
+    proportion_interval,
 )
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def recall(
     draws = resampling.draws(lambda weights: 100 * (weights @ hits) / weights.sum(axis=1, keepdims=True))
     percent = {k: float(100.0 * hits[:, column].mean()) for column, k in enumerate(ks)}
     intervals = {
-        k: share_interval(percent[k], draws[:, column], units=resampling.units, counted=len(counted))
+        k: proportion_interval(percent[k], draws[:, column], units=resampling.units, counted=len(counted))
         for column, k in enumerate(ks)
     }
     return Recall(percent, nested(intervals), resampling.as_dict())
@@ -299,7 +299,7 @@ def distances(
         median_interval=percentile_interval(draws[:, 0]),
         within=dict(zip(WITHIN_M, within.tolist(), strict=True)),
         within_intervals={
-            limit: share_interval(float(percent), drawn, units=resampling.units, counted=len(far))
+            limit: proportion_interval(float(percent), drawn, units=resampling.units, counted=len(far))
             for limit, percent, drawn in zip(WITHIN_M, within, draws[:, 1:].T, strict=True)
         },
     )

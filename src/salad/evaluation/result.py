@@ -41,7 +41,7 @@ class Ranked:
 
     Attributes:
         rows: `[queries, k]` rows of references; -1 where there is no more.
-        scores: `[queries, k]` their scores; None where nobody told them.
+        scores: `[queries, k]` their scores; None where there are none, as in ranked lists from outside.
     """
 
     rows: Int64[np.ndarray, "queries k"]
@@ -57,7 +57,7 @@ class QueryResult:
         positives: How many references are right for it.
         first_right: The rank of the first right one among `matches`, from 1; None where there is none among them.
         matches: Rows of the references found, best first.
-        scores: Their scores, where somebody told them.
+        scores: Their scores, where there are any.
         right: The row of a right reference: the first found, or the first there is; None where none is right.
         metres: From the query to its best match; None where a position is not known, or nothing was found.
         where: Latitude and longitude of the query, where known.
@@ -128,7 +128,7 @@ class Result:
         unanswerable_rule: Whether unanswerable queries were left out of shares or counted as misses.
         intervals: Where the truth of each recall lies 95 times in 100.
         drawn: What was drawn again together for that: `by`, `units`, `length`, `level`, `times`, `seed`.
-        precision_recall: The curve in short; None where nobody told scores.
+        precision_recall: The curve in short; None where there are no scores.
         distances: Metres; None where positions are not known.
         leaks: Photos that are in both sides; None where nobody looked.
         per_query: What became of each query, in the benchmark's order.
@@ -227,7 +227,7 @@ class Result:
         return one.positives > 0 or self.unanswerable_rule == "miss"
 
     def answers(self) -> Answers | None:
-        """What the precision-recall curve is of; None where nobody told scores."""
+        """What the precision-recall curve is of; None where there are no scores."""
         return Answers.of(self.per_query)
 
 

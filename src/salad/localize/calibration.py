@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
+from scipy.optimize import lsq_linear, minimize
 from scipy.special import expit
 
 from salad.errors import BenchmarkError
@@ -170,54 +170,57 @@ def fit_logistic(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[floa
         slope = rows.T @ (weight * (expit(z) - right)) + _RIDGE * at
         return float(weight @ np.logaddexp(0, np.where(right, -z, z)) + _RIDGE @ at**2 / 2), slope
 
-    # A convex loss in a box has one optimum. The usual tolerances stop where the fifth digit is still open, and a
-    # calibration is kept to four decimals: so go on until float64 can tell no two losses apart.
-    found = minimize(
-        loss,
-        np.zeros(5),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(None, None), *[(0, None)] * 4],
-        options={"ftol": 0, "gtol": 1e-10},
-    ).x
-    weights = found[1:] / scale
-    return float(found[0] - weights @ mean), weights
+    # A convex loss in a box has one optimum. Losses are equal in float64 within 1e-7 of it, so a Newton step under the
+    # same bounds, which goes by slopes, makes the last digits right: a calibration's fourth decimal is no luck.
+    bounds = [(None, None), *[(0, None)] * 4]
+    at = minimize(loss, np.zeros(5), jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 0}).x
+    sure = expit(rows @ at)
+    half = np.linalg.cholesky((rows.T * (weight * sure * (1 - sure))) @ rows + np.diag(_RIDGE)).T
+    target = half @ at - np.linalg.solve(half.T, loss(at)[1])
+    at = lsq_linear(half, target, ([-np.inf, 0, 0, 0, 0], np.inf), method="bvls", tol=1e-15).x
+    weights = at[1:] / scale
+    return float(at[0] - weights @ mean), weights
 
 
-def reliability(judged: Predictions) -> list[ReliabilityBin | None]:
+def reliability(predictions: Predictions) -> list[ReliabilityBin | None]:
     """How often what is so sure is right, in `BINS` steps of confidence; None for a step without a case."""
-    step_of = np.minimum((judged.confidence * BINS).astype(int), BINS - 1)  # a confidence of 1 is in the last
+    step_of = np.minimum(
+        (predictions.confidence * BINS).astype(int), BINS - 1
+    )  # a confidence of 1 is in the last
     bins: list[ReliabilityBin | None] = []
     for step in range(BINS):
         here = step_of == step
         if not here.any():
             bins.append(None)
             continue
-        weight = judged.weight[here]
+        weight = predictions.weight[here]
         sure, right = (
-            float(np.average(values[here], weights=weight)) for values in (judged.confidence, judged.right)
+            float(np.average(values[here], weights=weight))
+            for values in (predictions.confidence, predictions.right)
         )
-        bins.append(ReliabilityBin(int(here.sum()), float(weight.sum() / judged.weight.sum()), sure, right))
+        bins.append(
+            ReliabilityBin(int(here.sum()), float(weight.sum() / predictions.weight.sum()), sure, right)
+        )
     return bins
 
 
-def calibration_error(judged: Predictions) -> float:
+def calibration_error(predictions: Predictions) -> float:
     """Expected calibration error: how far confidence and the part that is right are apart, on average."""
-    return sum(one.weight * abs(one.confidence - one.right) for one in reliability(judged) if one)
+    return sum(one.weight * abs(one.confidence - one.right) for one in reliability(predictions) if one)
 
 
-def log_loss(judged: Predictions) -> float:
+def log_loss(predictions: Predictions) -> float:
     """Mean surprise at the truth, in nats; confidence that is always right has none."""
-    given = np.where(judged.right, judged.confidence, 1 - judged.confidence)
+    given = np.where(predictions.right, predictions.confidence, 1 - predictions.confidence)
     # Sure and wrong would cost infinitely much: at most 28 nats a case.
-    return float(-np.average(np.log(np.clip(given, 1e-12, 1)), weights=judged.weight))
+    return float(-np.average(np.log(np.clip(given, 1e-12, 1)), weights=predictions.weight))
 
 
-def threshold(judged: Predictions, precision: float) -> float:
+def threshold(predictions: Predictions, precision: float) -> float:
     """The lowest confidence from which on so many are right; the highest there is where none does it."""
-    order = np.argsort(-judged.confidence, kind="stable")
-    sure, weight = judged.confidence[order], judged.weight[order]
-    reached = np.cumsum(weight * judged.right[order]) / np.cumsum(weight)
+    order = np.argsort(-predictions.confidence, kind="stable")
+    sure, weight = predictions.confidence[order], predictions.weight[order]
+    reached = np.cumsum(weight * predictions.right[order]) / np.cumsum(weight)
     last = np.append(sure[:-1] > sure[1:], True)  # a threshold cannot part equals
     good = np.flatnonzero((reached >= precision) & last)
     return float(sure[good[-1]]) if len(good) else float(sure[0])
