@@ -233,8 +233,8 @@ def _fact_titles(lines: Sequence[ModelLine]) -> list[str]:
     return list(dict.fromkeys(fact for line in lines for fact in line.facts))
 
 
-def _number(value: float | None, whole: str, other: str) -> str:
-    """A number in one format where it is whole, as a count of weights, and in another where it is not."""
+def _number(value: float | None, integer_format: str, float_format: str) -> str:
+    """A number without decimals where it is an integer, as a count of weights is; nothing where there is none."""
     if value is None:
         return ""
-    return format(value, whole if float(value).is_integer() else other)
+    return format(value, integer_format if float(value).is_integer() else float_format)

@@ -54,9 +54,7 @@ class GridRow:
     name: str
     title: str
     aggregator: str = "salad"
-    change: Mapping[str, Any] = field(
-        default_factory=lambda: MappingProxyType({})
-    )  # all rows share it: read only
+    change: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     blocks: int = PAPERS_BLOCKS
     fewer_tokens: bool = False
     fitted: bool = False
@@ -107,7 +105,7 @@ _AGGREGATORS = (
     ),
 )
 
-# Beyond four the paper gets worse with every block: is that so on a smaller backbone too?
+# With more than four blocks trained the paper's model gets worse: is that so on a smaller backbone too?
 _BLOCKS = (
     GridRow("blocks-0", "no block", blocks=0, paper=_paper(_MSLS, 88.5)),
     GridRow("blocks-2", "the last 2", blocks=2, paper=_paper(_MSLS, 92.0)),

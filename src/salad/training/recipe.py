@@ -19,14 +19,16 @@ Augment = Literal["lite", "paper", "robust", "none"]
 Sampling = Literal["mixed", "one-city", "cliques"]
 
 
-_LEAST = {
-    **dict.fromkeys(("head_steps", "tune_steps", "head_rate", "trunk_rate", "weight_decay", "warmup"), 0),
-    **dict.fromkeys(("last", "average", "tuned_share", "clip", "tuned_blocks", "held_out", "full_steps"), 0),
-    **dict.fromkeys(("cache_versions", "mine_every", "seed", "split_seed"), 0),
-    **dict.fromkeys(("epochs", "decay_over", "measure_every", "save_every", "size", "at_once"), 1),
-    **dict.fromkeys(
-        ("places", "views", "clique"), 2
-    ),  # nothing can be told apart, or drawn together, with fewer
+_LEAST: dict[str, int] = {
+    name: least
+    for least, names in (
+        (0, "head_steps tune_steps head_rate trunk_rate weight_decay warmup last average tuned_share clip"),
+        (0, "tuned_blocks held_out full_steps cache_versions mine_every seed split_seed"),
+        (1, "epochs decay_over measure_every save_every size at_once"),
+        # With fewer photos of a place, or places, nothing can be told apart or drawn together.
+        (2, "places views clique"),
+    )
+    for name in names.split()
 }
 
 
@@ -46,7 +48,7 @@ class Recipe:
         trunk_rate: learning rate of the backbone once it is trained.
         weight_decay: AdamW's.
         warmup: steps over which a stage's learning rate rises; after that it falls linearly to `last`.
-        last: share of the learning rate left at a stage's end.
+        last: fraction of the learning rate left at a stage's end.
         decay_over: steps over which the rate falls, where not over the whole stage; after them it stays.
         average: decay of the running mean of the weights, which is what is measured and kept; 0 for no mean.
         tuned_share: how far the weights kept lie on the way from the end of the first stage to where the second has
@@ -54,7 +56,7 @@ class Recipe:
             the way is better at both. Source: Wortsman et al., "Robust fine-tuning of zero-shot models", 2022.
         clip: longest gradient of a step; a longer one is shortened to this. None for any.
         tuned_blocks: the last blocks of the backbone, trained in the second stage.
-        held_out: share of the places kept for choosing, never trained on.
+        held_out: fraction of the places kept for choosing, never trained on.
         measure_every: steps between two measurements on the places held out; the best of all is kept.
         save_every: steps between two checkpoints; one is written at each measurement too.
         precision: Fabric's word for it; `bf16-mixed` halves the time where the processor has bfloat16.
