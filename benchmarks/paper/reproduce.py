@@ -33,7 +33,7 @@ from benchmarks.paper.page import Figure, Judged, Report
 from benchmarks.paper.rows import FULL, Row, check_given, rows, unlike
 from benchmarks.paper.sets import find_set
 
-from salad.cli import shell
+from salad.cli import terminal
 from salad.cli.arguments import positive
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.protocols import read
@@ -61,11 +61,11 @@ def main(arguments: Sequence[str] | None = None, *, load: Load | None = None) ->
     try:
         return _run(asked, load or _load)
     except (SaladError, OSError) as error:
-        shell.say(f"reproduce-paper: {error}")
-        return shell.BAD_INPUT
+        terminal.say(f"reproduce-paper: {error}")
+        return terminal.BAD_INPUT
     except KeyboardInterrupt:
-        shell.say("reproduce-paper: interrupted; the same command goes on where it stopped")
-        return shell.INTERRUPTED
+        terminal.say("reproduce-paper: interrupted; the same command goes on where it stopped")
+        return terminal.INTERRUPTED
 
 
 def _run(asked: argparse.Namespace, load: Load) -> int:
@@ -85,11 +85,11 @@ def _run(asked: argparse.Namespace, load: Load) -> int:
             report.figures.append(figure)
             _write(report, asked.to)
     _write(report, asked.to)
-    shell.put(report.markdown().rstrip())
-    shell.say(f"written to {asked.to / 'reproduction.md'} and .json")
+    terminal.write(report.markdown().rstrip())
+    terminal.say(f"written to {asked.to / 'reproduction.md'} and .json")
     if not report.figures:
         raise BenchmarkError("no model could be run: see above")
-    return shell.NOTHING if report.over else shell.FOUND
+    return terminal.NOTHING if report.over else terminal.FOUND
 
 
 def _benchmarks(asked: argparse.Namespace, report: Report) -> list[Benchmark]:
@@ -126,12 +126,12 @@ def _figures(
     cache = asked.to / "descriptors"
     for benchmark in benchmarks:
         photos = len(benchmark.references) + len(benchmark.queries)
-        shell.say(
+        terminal.say(
             f"{row.claim.title} on {benchmark.protocol}: {photos:,} photos, {photos * model.dim * 4 / 1e9:.1f} GB "
             f"of descriptors in {cache}"
         )
         try:
-            with shell.progress("describing") as bar:
+            with terminal.progress("describing") as bar:
                 result = evaluate(benchmark, model, batch_size=asked.batch_size, cache=cache, progress=bar)
         except SaladError as error:
             _pass_over(report, f"{row.claim.title} on {benchmark.protocol}: {error}")
@@ -166,7 +166,7 @@ def _judged(row: Row, model: DescriberLike) -> Judged:
 
 
 def _pass_over(report: Report, sentence: str) -> None:
-    shell.say(f"passed over: {sentence}")
+    terminal.say(f"passed over: {sentence}")
     report.missing.append(sentence)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salad.cli.result_tables import compare_results, leaks_told
+from salad.cli.evaluation_tables import compare_results, leaks_told
 from salad.errors import BenchmarkError
 from salad.evaluation.evaluate import CENTRED
 from salad.evaluation.leaks import Leak

@@ -72,7 +72,7 @@ def test_only_the_folders_given_are_pruned(
 def test_a_long_list_of_the_vanished_is_cut(
     cli: Any, asked: Any, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("salad.cli.shell._NAMED", 2)
+    monkeypatch.setattr("salad.cli.terminal._FEW", 2)
     cli("index", home, "--to", tmp_path / "city")
     for path in sorted(home.iterdir())[:5]:
         path.unlink()

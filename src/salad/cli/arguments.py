@@ -32,7 +32,7 @@ Number = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
 Metres = Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")]
 Share = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")]
 File = Annotated[str | None, arg(metavar="FILE", help_behavior_hint="")]
-Form = Annotated[Literal["table", "json"], arg(help="For people or for programs.")]
+Format = Annotated[Literal["table", "json"], arg(help="For people or for programs.")]
 
 
 def positive(number: int, what: str) -> int:
@@ -49,14 +49,14 @@ def positive(number: int, what: str) -> int:
 # --- How commands open an index, and which model they load for it ---
 
 
-def model_of(folder: Path) -> str:
+def model_name_for(folder: Path) -> str:
     """The name in the zoo of an index's model; where there is no index yet, of the model that ships."""
-    from salad.index.index import Index as Opened
+    from salad.index.index import Index
     from salad.models.hub import ZOO
 
     if not is_index(folder):
         return SHIPPED
-    with Opened.open(folder) as index:
+    with Index.open(folder) as index:
         if index.model in ZOO:
             return index.model
         raise ModelError(
@@ -64,13 +64,13 @@ def model_of(folder: Path) -> str:
         )
 
 
-def opened(folder: Path, model: DescriberLike) -> Index:
+def open_or_create(folder: Path, model: DescriberLike) -> Index:
     """The index in a folder, made for the model where there is none yet."""
-    from salad.index.index import Index as Opened
+    from salad.index.index import Index
 
     if is_index(folder):
-        return Opened.open(folder)
-    return Opened.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+        return Index.open(folder)
+    return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
 
 
 def is_index(folder: Path) -> bool:

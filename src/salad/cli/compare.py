@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from salad.ablation.grids import Grid
-from salad.cli import shell
-from salad.cli.arguments import Form, Number, positive
+from salad.cli import terminal
+from salad.cli.arguments import Format, Number, positive
 from salad.errors import BenchmarkError
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class CompareCommand:
     """Where to measure, as torch names it."""
     table_only: bool = False
     """Write the tables from the results there are, and train nothing."""
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """Compare."""
@@ -88,7 +88,7 @@ class CompareCommand:
         return self._compare_models(self.grid, self.to)
 
     def _compare_results(self) -> int:
-        from salad.cli.result_tables import compare_results
+        from salad.cli.evaluation_tables import compare_results
 
         if self.grid is not None:
             raise BenchmarkError(
@@ -107,12 +107,12 @@ class CompareCommand:
             raise BenchmarkError("--grid blocks compares how many blocks are trained: leave --frozen out")
         if not self.table_only:
             self._train(rows, to)
-        shell.put(write_tables(to, grid, rows))
+        terminal.write(write_tables(to, grid, rows))
         missing = [row.name for row in rows if not any((to / row.name).glob("seed*/result.json"))]
         if missing:
-            shell.say(f"there is no result yet of {', '.join(missing)}")
-        shell.say(f"written to {to / grid}.md, .csv and .svg")
-        return shell.FOUND
+            terminal.say(f"there is no result yet of {', '.join(missing)}")
+        terminal.say(f"written to {to / grid}.md, .csv and .svg")
+        return terminal.FOUND
 
     def _train(self, rows: Sequence[GridRow], to: Path) -> None:
         """Bring every row to its results; what is wrong with the arguments is said before torch is loaded."""
@@ -123,7 +123,7 @@ class CompareCommand:
 
         if not self.data:
             raise BenchmarkError("there is nothing to learn from: name a folder with --data")
-        places = [place for folder in self.data for place in find_places(folder, say=shell.say)]
+        places = [place for folder in self.data for place in find_places(folder, say=terminal.say)]
 
         from salad.ablation.grid_setup import default_recipe, grid_setup
         from salad.ablation.runner import GridRunner
@@ -138,8 +138,8 @@ class CompareCommand:
             benchmarks={each.name: _grid_benchmark(each) for each in benchmarks},
             accelerator=self.accelerator,
             device=self.device,
-            say=shell.say,
-            progress_bar=shell.progress,
+            say=terminal.say,
+            progress_bar=terminal.progress,
         ).run(rows, seeds=range(self.seeds))
 
     def _benchmarks(self) -> list[Benchmark]:
@@ -183,7 +183,7 @@ def _grid_benchmark(benchmark: Benchmark) -> GridBenchmark:
     from salad.evaluation.evaluate import evaluate
 
     def evaluated(model: Describer) -> dict[str, object]:
-        with shell.progress(f"describing {benchmark.name}") as bar:
+        with terminal.progress(f"describing {benchmark.name}") as bar:
             return evaluate(benchmark, model, progress=bar).as_dict()
 
     return GridBenchmark(benchmark.protocol, evaluated)

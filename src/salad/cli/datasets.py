@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg, subcommand
 
-from salad.cli import shell
-from salad.cli.arguments import Form
+from salad.cli import terminal
+from salad.cli.arguments import Format
 
 if TYPE_CHECKING:
     from salad.datasets.readers.base import Protocol
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class List:
     """List the protocols: their sets, how many photos, what is right, where to get them."""
 
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """List."""
@@ -28,8 +28,8 @@ class List:
 
         rows = [_told(protocol) for protocol in PROTOCOLS.values()]
         if self.format == "json":
-            shell.put_json(rows)
-            return shell.FOUND
+            terminal.write_json(rows)
+            return terminal.FOUND
         shown = (
             "protocol",
             "references",
@@ -40,8 +40,8 @@ class List:
             "get",
             "licence",
         )
-        shell.put_table(_table(shown, (_cells(row, shown) for row in rows)))
-        return shell.FOUND
+        terminal.write_table(_table(shown, (_cells(row, shown) for row in rows)))
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Check:
     """Say what a folder is: which layouts it is in, how many photos, which protocols fit and what is missing."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR", help="The folder of a data set.")]
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """Check."""
@@ -57,15 +57,15 @@ class Check:
 
         findings = check(self.folder)
         if self.format == "json":
-            shell.put_json([asdict(finding) for finding in findings])
+            terminal.write_json([asdict(finding) for finding in findings])
         elif findings:
             shown = ("protocol", "fits", "layout", "references", "queries", "unanswerable", "missing")
-            shell.put_table(
+            terminal.write_table(
                 _table(shown, ([_cell(getattr(finding, name)) for name in shown] for finding in findings))
             )
         if not findings:
-            shell.say(_nothing(self.folder))
-        return shell.FOUND if any(finding.fits for finding in findings) else shell.NOTHING
+            terminal.say(_nothing(self.folder))
+        return terminal.FOUND if any(finding.fits for finding in findings) else terminal.NOTHING
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from salad.cli import shell
+from salad.cli import terminal
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class DemoCommand:
         from salad.demo.demo_result import table
         from salad.demo.run import run_demo
 
-        with shell.progress("demo") as bar:
-            result = run_demo(self.to, seed=self.seed, say=shell.say, progress=bar)
-        shell.put_table(table(result))
-        shell.put(f"look at it: {result.page.resolve()}")
-        return shell.FOUND
+        with terminal.progress("demo") as bar:
+            result = run_demo(self.to, seed=self.seed, say=terminal.say, progress=bar)
+        terminal.write_table(table(result))
+        terminal.write(f"look at it: {result.page.resolve()}")
+        return terminal.FOUND

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from salad.cli import result_tables, shell
-from salad.cli.arguments import SHIPPED, Form, Metres, Number, Table
+from salad.cli import evaluation_tables, terminal
+from salad.cli.arguments import SHIPPED, Format, Metres, Number, Table
 from salad.errors import BenchmarkError
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ class EvaluateCommand:
     references have in common."""
     seed: int = 0
     """Of the draws that tell how sure the figures are."""
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """Evaluate."""
@@ -192,16 +192,16 @@ class EvaluateCommand:
             from salad.report.evaluation_page import write_report
 
             for told in write_report(result, self.report, model):
-                shell.say(told)
-            shell.say(f"written to {self.report}")
-        for note in (*result.notes, *result_tables.leaks_told(result)):
-            shell.say(note)
+                terminal.say(told)
+            terminal.say(f"written to {self.report}")
+        for note in (*result.notes, *evaluation_tables.leaks_told(result)):
+            terminal.say(note)
         if self.format == "json":
-            shell.put_json(result.as_dict())
+            terminal.write_json(result.as_dict())
         else:
-            shell.facts(result_tables.facts(result))
-            shell.put_table(result_tables.figures(result))
-        return shell.FOUND
+            terminal.write_fields(evaluation_tables.facts(result))
+            terminal.write_table(evaluation_tables.figures(result))
+        return terminal.FOUND
 
     def _check(self) -> None:
         """Refuse before any work what would come to nothing after it."""
@@ -310,7 +310,7 @@ class EvaluateCommand:
         from salad.models.model_folder import load
 
         model = load(self.model, device=self.device, heads=self.heads)
-        with shell.progress("describing") as bar:
+        with terminal.progress("describing") as bar:
             result = evaluate(
                 benchmark, model, cache=self.cache, seed=self.seed, plain=self.plain, progress=bar
             )
@@ -321,8 +321,8 @@ class EvaluateCommand:
 
         for photos, path in ((benchmark.references, references), (benchmark.queries, queries)):
             write_photos(photos, path)
-            shell.say(f"{len(photos)} photos written to {path}")
-        return shell.FOUND
+            terminal.say(f"{len(photos)} photos written to {path}")
+        return terminal.FOUND
 
     def _write(self, result: Result) -> None:
         from salad.evaluation.external import write_rankings
@@ -335,4 +335,4 @@ class EvaluateCommand:
         ):
             if path is not None:
                 write(result, path)
-                shell.say(f"written to {path}")
+                terminal.say(f"written to {path}")

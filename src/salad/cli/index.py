@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from salad.cli import shell
-from salad.cli.arguments import ModelName, Photos, Table, is_index, model_of, opened, positive
+from salad.cli import terminal
+from salad.cli.arguments import ModelName, Photos, Table, is_index, model_name_for, open_or_create, positive
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
@@ -57,19 +57,19 @@ class IndexCommand:
         from salad.models.model_folder import load
 
         positive(self.batch_size, "--batch-size")
-        sources = list(shell.listed(self.photos))
+        sources = list(terminal.expand_stdin(self.photos))
         paths = find_photos(sources)
         table = PhotoTable.read(self.table) if self.table else None
-        model = load(self.model or model_of(self.to), device=self.device)
-        with opened(self.to, model) as index:
+        model = load(self.model or model_name_for(self.to), device=self.device)
+        with open_or_create(self.to, model) as index:
             done = self._describe(paths, index, model, table)
             gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])
             held, placed = len(index), index.info().with_position
         for sentence in (*done.twins, *done.unreadable, *gone):
-            shell.say(sentence)
-        shell.say(f"{self.to}: {done.added} photos added, {done.skipped} there already, "
+            terminal.say(sentence)
+        terminal.say(f"{self.to}: {done.added} photos added, {done.skipped} there already, "
                   f"{len(done.unreadable)} unreadable; it holds {held}, {placed} with a position")  # fmt: skip
-        return shell.FOUND if done.added or done.skipped else shell.BAD_INPUT
+        return terminal.FOUND if done.added or done.skipped else terminal.BAD_INPUT
 
     def _describe(
         self, paths: Sequence[Path], index: Index, model: DescriberLike, table: PhotoTable | None
@@ -77,7 +77,7 @@ class IndexCommand:
         from salad.index.build import index_photos
 
         far = 0
-        with shell.progress("indexing") as bar:
+        with terminal.progress("indexing") as bar:
 
             def report(done: int, total: int) -> None:
                 nonlocal far
@@ -90,7 +90,7 @@ class IndexCommand:
                     paths, index, model, table=table, batch_size=self.batch_size, progress=report
                 )
             except KeyboardInterrupt:
-                shell.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
+                terminal.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
                 raise
 
     def _vanished(self, index: Index, folders: Sequence[str]) -> list[str]:
@@ -99,11 +99,11 @@ class IndexCommand:
             return []
         gone = index.remove_missing(folders) if self.prune else index.missing(folders)
         fate = "it was dropped" if self.prune else "--prune drops it from the index"
-        return shell.some([f"{path} is gone: {fate}" for path in gone], what="are gone")
+        return terminal.first_few([f"{path} is gone: {fate}" for path in gone], what="are gone")
 
     def _take(self, folder: Path) -> int:
         """Take in what `salad export` or another tool wrote."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
         from salad.index.transfer import model_of as source_of
         from salad.index.transfer import take
 
@@ -114,15 +114,15 @@ class IndexCommand:
         made = not is_index(self.to)
         if made:
             source = source_of(folder, name=self.model)
-            Opened.create(self.to, dim=source.dim, fingerprint=source.fingerprint, model=source.model).close()
+            Index.create(self.to, dim=source.dim, fingerprint=source.fingerprint, model=source.model).close()
         try:
-            with Opened.open(self.to) as index:
+            with Index.open(self.to) as index:
                 added, held = take(index, folder, model=self.model), len(index)
         except SaladError:
-            with Opened.open(self.to) as index:
+            with Index.open(self.to) as index:
                 made = made and not len(index)
             if made:
                 shutil.rmtree(self.to, ignore_errors=True)
             raise
-        shell.say(f"{self.to}: {added} photos added from {folder}; it holds {held}")
-        return shell.FOUND if held else shell.NOTHING
+        terminal.say(f"{self.to}: {added} photos added from {folder}; it holds {held}")
+        return terminal.FOUND if held else terminal.NOTHING

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from salad.cli import shell
-from salad.cli.arguments import ModelName, Photos, model_of, positive
+from salad.cli import terminal
+from salad.cli.arguments import ModelName, Photos, model_name_for, positive
 from salad.errors import PhotoError, SaladError
 from salad.files import write_whole
 from salad.geo import GeoPoint
@@ -147,8 +147,8 @@ def write_copies(folder: Path, answers: Sequence[Answer]) -> None:
             copy_with_position(answer.query, copy, place.where, within_m=place.radius_m)
             written += 1
         except PhotoError as error:
-            shell.say(str(error))
-    shell.say(f"{folder}: {written} copies written, with their position")
+            terminal.say(str(error))
+    terminal.say(f"{folder}: {written} copies written, with their position")
 
 
 def write_track(track: Path, answers: Sequence[Answer]) -> None:
@@ -162,7 +162,7 @@ def write_track(track: Path, answers: Sequence[Answer]) -> None:
     times = [read_photo(answer.query).time for answer in answers]
     undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
     if undated:
-        shell.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")
+        terminal.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")
     write_whole(track, maps.as_gpx(answers, times).encode())
 
 
@@ -270,11 +270,11 @@ class LocateCommand:
             check_track(self.gpx)
         answers, unreadable = self._located(paths)
         for sentence in unreadable:
-            shell.say(sentence)
+            terminal.say(sentence)
         self._put(answers)
         if any(answer.place for answer in answers):
-            return shell.FOUND
-        return shell.NOTHING if answers else shell.BAD_INPUT
+            return terminal.FOUND
+        return terminal.NOTHING if answers else terminal.BAD_INPUT
 
     def _check(self) -> None:
         positive(self.k, "-k")
@@ -285,15 +285,15 @@ class LocateCommand:
 
     def _located(self, paths: list[Path]) -> tuple[list[Answer], list[str]]:
         """An answer for each photo that can be read, a sentence for each other."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
         from salad.localize.locate import locate_many
         from salad.models.model_folder import load
 
         where = self.only.filter()
         answers: list[Answer] = []
         unreadable: list[str] = []
-        with Opened.open(self.index) as index, shell.progress("locating") as bar:
-            model = load(self.model or model_of(self.index), device=self.device)
+        with Index.open(self.index) as index, terminal.progress("locating") as bar:
+            model = load(self.model or model_name_for(self.index), device=self.device)
             bar(0, len(paths))
             for answer in locate_many(
                 paths,
@@ -311,9 +311,9 @@ class LocateCommand:
 
     def _put(self, answers: list[Answer]) -> None:
         if self.format == "table":
-            shell.put_table(as_table(answers))
+            terminal.write_table(as_table(answers))
         else:
-            shell.put(WRITERS[self.format](answers))
+            terminal.write(WRITERS[self.format](answers))
         if self.write_exif:
             write_copies(self.write_exif, answers)
         if self.gpx:

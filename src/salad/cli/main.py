@@ -17,10 +17,10 @@ from salad.cli import (
     demo,
     evaluate,
     index,
+    index_maintenance,
     locate,
-    maintain,
     places,
-    shell,
+    terminal,
     train,
     weights,
 )
@@ -29,12 +29,12 @@ from salad.errors import SaladError
 COMMANDS: dict[str, Any] = {
     "index": index.IndexCommand,
     "locate": locate.LocateCommand,
-    "info": maintain.InfoCommand,
-    "verify": maintain.VerifyCommand,
-    "remove": maintain.RemoveCommand,
-    "compact": maintain.CompactCommand,
-    "export": maintain.ExportCommand,
-    "merge": maintain.MergeCommand,
+    "info": index_maintenance.InfoCommand,
+    "verify": index_maintenance.VerifyCommand,
+    "remove": index_maintenance.RemoveCommand,
+    "compact": index_maintenance.CompactCommand,
+    "export": index_maintenance.ExportCommand,
+    "merge": index_maintenance.MergeCommand,
     "evaluate": evaluate.EvaluateCommand,
     "datasets": datasets.DatasetsCommand,
     "weights": weights.WeightsCommand,
@@ -47,32 +47,32 @@ COMMANDS: dict[str, Any] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and leave with its exit code: 0, 1 (nothing found), 2 (bad input)."""
-    shell.settle_streams()
+    terminal.settle_streams()
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command; its exit code."""
     if list(arguments) == ["--version"]:
-        shell.put(f"salad {__version__}")
-        return shell.FOUND
+        terminal.write(f"salad {__version__}")
+        return terminal.FOUND
     command = _parsed(list(arguments))
     try:
         code: int = command.run()
     except SaladError as error:
-        shell.say(f"salad: {error}")
-        return shell.BAD_INPUT
+        terminal.say(f"salad: {error}")
+        return terminal.BAD_INPUT
     except KeyboardInterrupt:
-        shell.say(
+        terminal.say(
             "salad: interrupted; index, train, compare and weights fetch go on where they stopped when run again"
         )
-        return shell.INTERRUPTED
+        return terminal.INTERRUPTED
     except BrokenPipeError:  # whoever read our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return shell.FOUND
+        return terminal.FOUND
     except OSError as error:  # a full disk, a folder that may not be read
-        shell.say(f"salad: {error}")
-        return shell.BAD_INPUT
+        terminal.say(f"salad: {error}")
+        return terminal.BAD_INPUT
     return code
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from salad.cli import shell
-from salad.cli.arguments import Form, Photos, Table
+from salad.cli import terminal
+from salad.cli.arguments import Format, Photos, Table
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class PlacesCommand:
     """Between two places, at least; 0 keeps all, for training with one-city or clique batches."""
     check: bool = True
     """Open each photo that would be used, and leave out what cannot be read."""
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """Find the places."""
@@ -68,7 +68,7 @@ class PlacesCommand:
         if found.places:
             write_places(found.places, self.to)
         self._tell(found)
-        return shell.FOUND if found.places else shell.NOTHING
+        return terminal.FOUND if found.places else terminal.NOTHING
 
     def _known(self) -> list[Photo]:
         """All photos with where, which way and when they were taken."""
@@ -76,7 +76,7 @@ class PlacesCommand:
         from salad.images.photo import PhotoTable, find_photos, read_photo
         from salad.images.workers import Workers
 
-        names = list(shell.listed(self.photos))
+        names = list(terminal.expand_stdin(self.photos))
         known = next((name for name in names if is_gsv_cities(Path(name))), None)
         if known and not self.table:
             raise SaladError(
@@ -86,7 +86,10 @@ class PlacesCommand:
         paths = find_photos(names)
         table: PhotoTable | None = PhotoTable.read(self.table) if self.table else None
         photos: list[Photo] = []
-        with Workers(0) as workers, shell.progress("looking") as bar:  # in this process: no pixel is decoded
+        with (
+            Workers(0) as workers,
+            terminal.progress("looking") as bar,
+        ):  # in this process: no pixel is decoded
             for photo in workers.in_order(lambda path: read_photo(path, table), paths, ahead=64):
                 photos.append(photo)
                 bar(len(photos), len(paths))
@@ -97,21 +100,21 @@ class PlacesCommand:
             raise SaladError(f"--to {self.to} cannot be written: name a file in a folder that is there")
 
     def _tell(self, found: Clustering) -> None:
-        for sentence in shell.some(found.trouble, what="cannot be read"):
-            shell.say(sentence)
+        for sentence in terminal.first_few(found.trouble, what="cannot be read"):
+            terminal.say(sentence)
         told = found.as_dict()
         if self.format == "json":
-            shell.put_json({"table": str(self.to) if found.places else None} | told)
+            terminal.write_json({"table": str(self.to) if found.places else None} | told)
             return
         rows = _rows(told)
         wide = max(len(name) for name, _ in rows)
         for name, value in rows:
-            shell.say(f"{name:<{wide}}  {value}")
+            terminal.say(f"{name:<{wide}}  {value}")
         if found.places:
-            shell.put(str(self.to))
+            terminal.write(str(self.to))
             return
         most = max(found.left_out, key=lambda reason: len(found.left_out[reason]))
-        shell.say(f"no place was found, so nothing is written; most photos: {most}. {_ADVICE[most]}")
+        terminal.say(f"no place was found, so nothing is written; most photos: {most}. {_ADVICE[most]}")
 
 
 def _rows(told: dict[str, Any]) -> list[tuple[str, Any]]:
@@ -125,7 +128,7 @@ def _unreadable(paths: Sequence[Path]) -> dict[Path, str]:
     from salad.images.workers import Workers
 
     trouble: dict[Path, str] = {}
-    with Workers(len(paths)) as workers, shell.progress("checking") as bar:
+    with Workers(len(paths)) as workers, terminal.progress("checking") as bar:
 
         def tried(path: Path) -> str:
             try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
-from salad.cli import shell
+from salad.cli import terminal
 from salad.cli.arguments import SHIPPED, File, Metres, Number, Share, Table, positive
 from salad.cli.evaluate import benchmark_of
 from salad.errors import BenchmarkError, SaladError
@@ -150,7 +150,7 @@ class TrainCommand:
         from salad.training.trainer import train
 
         # With several devices this very command runs once for each: the first alone draws a bar and speaks.
-        with shell.progress("training") if first_process() else nullcontext() as bar:
+        with terminal.progress("training") if first_process() else nullcontext() as bar:
             made = train(
                 preset,
                 self._places(data),
@@ -164,11 +164,11 @@ class TrainCommand:
                 board=self.board,
                 tokens=self.tokens,
                 progress=bar,
-                say=shell.say,
+                say=terminal.say,
             )
         if first_process():
-            shell.put(str(made))
-        return shell.FOUND
+            terminal.write(str(made))
+        return terminal.FOUND
 
     def _say_what_would_be(self, preset: Preset) -> int:
         from salad.training.dry_run import dry_run
@@ -181,15 +181,15 @@ class TrainCommand:
             devices=self.devices,
             nodes=self.nodes,
         )
-        shell.facts({"preset": self.preset, **facts})
-        shell.say("nothing was written: leave --dry-run out to train")
-        return shell.FOUND
+        terminal.write_fields({"preset": self.preset, **facts})
+        terminal.say("nothing was written: leave --dry-run out to train")
+        return terminal.FOUND
 
     def _places(self, data: Path) -> list[TrainingPlace]:
         from salad.datasets.places import find_places
         from salad.training.devices import first_process
 
-        return find_places(data, say=shell.say if first_process() else lambda _: None)
+        return find_places(data, say=terminal.say if first_process() else lambda _: None)
 
     def _preset(self) -> Preset:
         """The preset with what was given in place of its own settings."""

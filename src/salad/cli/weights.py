@@ -8,8 +8,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg, subcommand
 
-from salad.cli import shell
-from salad.cli.arguments import Form, ModelName, Number, positive
+from salad.cli import terminal
+from salad.cli.arguments import Format, ModelName, Number, positive
 from salad.errors import WeightsError
 
 Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")]
@@ -19,7 +19,7 @@ Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")
 class List:
     """List the models of the zoo."""
 
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """List."""
@@ -27,17 +27,17 @@ class List:
 
         rows = [(entry, hub.path_of(entry.name).exists()) for entry in hub.ZOO.values()]
         if self.format == "json":
-            shell.put_json(
+            terminal.write_json(
                 [{"name": e.name, "here": here, "licence": e.licence, "note": e.note} for e, here in rows]
             )
-            return shell.FOUND
+            return terminal.FOUND
         from rich.table import Table
 
         table = Table("name", "here", "licence", "note", box=None, pad_edge=False, header_style="bold")
         for entry, here in rows:
             table.add_row(entry.name, "yes" if here else "no", entry.licence, entry.note)
-        shell.put_table(table)
-        return shell.FOUND
+        terminal.write_table(table)
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Info:
 
         entry, path = hub.entry(self.name), hub.path_of(self.name)
         told = {key: value for key, value in asdict(entry).items() if value is not None}
-        shell.facts(told | {"path": path, "here": "yes" if path.exists() else "no"})
-        return shell.FOUND
+        terminal.write_fields(told | {"path": path, "here": "yes" if path.exists() else "no"})
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class Fetch:
         """Fetch."""
         from salad.models import hub
 
-        shell.say(f"{self.name}: {hub.entry(self.name).licence}")
-        with shell.progress(f"fetching {self.name}") as bar:
+        terminal.say(f"{self.name}: {hub.entry(self.name).licence}")
+        with terminal.progress(f"fetching {self.name}") as bar:
             path = hub.fetch(self.name, progress=bar)
-        shell.put(str(path))
-        return shell.FOUND
+        terminal.write(str(path))
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ class Convert:
         """Convert."""
         from salad.models.model_folder import load, write_folder
 
-        shell.put(str(write_folder(load(self.file, heads=self.heads), self.to)))
-        return shell.FOUND
+        terminal.write(str(write_folder(load(self.file, heads=self.heads), self.to)))
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Vocabulary:
 
     def run(self) -> int:
         """Make the vocabulary."""
-        from salad.cli.arguments import model_of
+        from salad.cli.arguments import model_name_for
         from salad.index.index import Index
         from salad.models.model_folder import load, write_folder
         from salad.training.vocabulary import with_vocabulary
@@ -122,8 +122,8 @@ class Vocabulary:
             raise WeightsError(f"{self.to} exists already; choose another folder, or remove it first")
         with Index.open(self.index) as index:
             photos = [photo.path for photo in index.photos()]
-        model, unreadable = load(self.model or model_of(self.index), device=self.device), list[str]()
-        with shell.progress("gathering tokens") as bar:
+        model, unreadable = load(self.model or model_name_for(self.index), device=self.device), list[str]()
+        with terminal.progress("gathering tokens") as bar:
             made = with_vocabulary(
                 model,
                 photos,
@@ -132,10 +132,10 @@ class Vocabulary:
                 passed_over=lambda error: unreadable.append(str(error)),
                 progress=bar,
             )
-        for sentence in shell.some(unreadable, what="could not be read"):
-            shell.say(sentence)
-        shell.put(str(write_folder(made, self.to)))
-        return shell.FOUND
+        for sentence in terminal.first_few(unreadable, what="could not be read"):
+            terminal.say(sentence)
+        terminal.write(str(write_folder(made, self.to)))
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,8 @@ class Mean:
         networks = [load(each).network for each in self.models]  # without torch, this says so
         from salad.network.checkpoints import mean
 
-        shell.put(str(write_folder(mean(networks), self.to)))
-        return shell.FOUND
+        terminal.write(str(write_folder(mean(networks), self.to)))
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from salad.cli import shell
-from salad.cli.arguments import Form, IndexFolder, Photos
+from salad.cli import terminal
+from salad.cli.arguments import Format, IndexFolder, Photos
 from salad.errors import PhotoError, StoreError
 
 Others = Annotated[
@@ -26,19 +26,19 @@ class InfoCommand:
     """Say what an index holds."""
 
     index: IndexFolder
-    format: Form = "table"
+    format: Format = "table"
 
     def run(self) -> int:
         """Tell."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
 
-        with Opened.open(self.index) as index:
+        with Index.open(self.index) as index:
             told = index.info().as_dict()
         if self.format == "json":
-            shell.put_json(told)
+            terminal.write_json(told)
         else:
-            shell.facts(_for_people(told))
-        return shell.FOUND
+            terminal.write_fields(_for_people(told))
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ class VerifyCommand:
         Header.read(self.index)  # what is no index, or a later salad's, is not ours to judge
         wrong, gone, held = _examined(self.index)
         for sentence in wrong:
-            shell.put(sentence)
+            terminal.write(sentence)
         lost = [f"{path} is gone; its descriptor stays until it is removed" for path in gone]
-        for sentence in shell.some(lost, what="are gone"):
-            shell.say(sentence)
+        for sentence in terminal.first_few(lost, what="are gone"):
+            terminal.say(sentence)
         if not wrong:
-            shell.put(f"{self.index} is sound: {held} photos")
-        return shell.NOTHING if wrong else shell.FOUND
+            terminal.write(f"{self.index} is sound: {held} photos")
+        return terminal.NOTHING if wrong else terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,15 @@ class RemoveCommand:
 
     def run(self) -> int:
         """Remove."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
 
-        paths = list(shell.listed(self.photos))
+        paths = list(terminal.expand_stdin(self.photos))
         if not paths:
             raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
-        with Opened.open(self.index) as index:
+        with Index.open(self.index) as index:
             removed = index.remove(paths)
-        shell.say(f"{self.index}: {removed} photos removed")
-        return shell.FOUND if removed else shell.NOTHING
+        terminal.say(f"{self.index}: {removed} photos removed")
+        return terminal.FOUND if removed else terminal.NOTHING
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,14 @@ class CompactCommand:
 
     def run(self) -> int:
         """Compact."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
 
-        with Opened.open(self.index) as index:
+        with Index.open(self.index) as index:
             done = index.compact()
         for path in done.damaged:
-            shell.say(f"{path} had a damaged descriptor and is no longer in the index: index it again")
-        shell.say(f"{self.index}: {done.freed / _MEGA:.1f} MB given back; it holds {done.kept} photos")
-        return shell.FOUND
+            terminal.say(f"{path} had a damaged descriptor and is no longer in the index: index it again")
+        terminal.say(f"{self.index}: {done.freed / _MEGA:.1f} MB given back; it holds {done.kept} photos")
+        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -116,14 +116,14 @@ class ExportCommand:
 
     def run(self) -> int:
         """Export."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
         from salad.index.transfer import export
 
-        with Opened.open(self.index) as index:
+        with Index.open(self.index) as index:
             done = export(index, self.to, form=self.format, dtype=self.dtype)
         _say_damaged(done.damaged)
-        shell.say(f"{self.to}: {done.photos} photos written")
-        return shell.FOUND if done.photos else shell.NOTHING
+        terminal.say(f"{self.to}: {done.photos} photos written")
+        return terminal.FOUND if done.photos else terminal.NOTHING
 
 
 @dataclass(frozen=True)
@@ -135,41 +135,41 @@ class MergeCommand:
 
     def run(self) -> int:
         """Merge."""
-        from salad.index.index import Index as Opened
+        from salad.index.index import Index
 
         if not self.others:
             raise StoreError("no other index is named: say which indexes to take photos from")
-        with Opened.open(self.index) as into:
+        with Index.open(self.index) as into:
             for folder in self.others:
                 _merge_one(into, folder)
-            shell.say(f"{self.index}: it holds {len(into)} photos")
-        return shell.FOUND
+            terminal.say(f"{self.index}: it holds {len(into)} photos")
+        return terminal.FOUND
 
 
 def _merge_one(into: Any, folder: Path) -> None:
-    from salad.index.index import Index as Opened
+    from salad.index.index import Index
     from salad.index.transfer import merge
 
-    with Opened.open(folder) as other:
+    with Index.open(folder) as other:
         done = merge(into, other)
     for path in done.other:
-        shell.say(f"{path} was left out of {folder}: {into.folder} has another photo at that path")
+        terminal.say(f"{path} was left out of {folder}: {into.folder} has another photo at that path")
     _say_damaged(done.damaged)
-    shell.say(f"{folder}: {done.added} photos added, {done.held} there already")
+    terminal.say(f"{folder}: {done.added} photos added, {done.held} there already")
 
 
 def _say_damaged(paths: Sequence[Path]) -> None:
     for path in paths:
-        shell.say(f"{path} was left out, since its descriptor is damaged: index it again")
+        terminal.say(f"{path} was left out, since its descriptor is damaged: index it again")
 
 
 def _examined(folder: Path) -> tuple[list[str], list[Path], int]:
     """What is wrong with an index, the photos whose files are gone, and how many photos there are."""
-    from salad.index.index import Index as Opened
+    from salad.index.index import Index
 
     wrong: list[str] = []
     try:
-        with Opened.open(folder) as index:
+        with Index.open(folder) as index:
             wrong += index.verify()
             return wrong, index.missing(), len(index)
     except StoreError as error:  # that it cannot be opened, or listed, is what was asked for

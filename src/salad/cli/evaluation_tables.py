@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from salad.cli import shell
-from salad.cli.arguments import Form
+from salad.cli import terminal
+from salad.cli.arguments import Format
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -83,10 +83,10 @@ def leaks_told(result: Result) -> list[str]:
     told = [
         f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}" for leak in result.leaks or ()
     ]
-    return shell.some(told, what="photos that are in both sides")
+    return terminal.first_few(told, what="photos that are in both sides")
 
 
-def compare_results(first: Path, other: Path, *, form: Form = "table", seed: int = 0) -> int:
+def compare_results(first: Path, other: Path, *, form: Format = "table", seed: int = 0) -> int:
     """Say how two results of `salad evaluate --save` differ, and whether that is more than chance.
 
     Args:
@@ -108,14 +108,16 @@ def compare_results(first: Path, other: Path, *, form: Form = "table", seed: int
     found = differences(one, two, seed=seed)
     if form == "json":
         told = {"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model}
-        shell.put_json(told | {"recall": {str(each.k): each.as_dict() for each in found}})
-        return shell.FOUND
-    shell.facts({"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model})
-    shell.put_table(_side_by_side(found))
+        terminal.write_json(told | {"recall": {str(each.k): each.as_dict() for each in found}})
+        return terminal.FOUND
+    terminal.write_fields(
+        {"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model}
+    )
+    terminal.write_table(_side_by_side(found))
     for name, queries in (("won", found[0].won), ("lost", found[0].lost)):
-        for line in shell.some([f"{name}: {query}" for query in queries], what=f"queries {name}"):
-            shell.put(line)
-    return shell.FOUND
+        for line in terminal.first_few([f"{name}: {query}" for query in queries], what=f"queries {name}"):
+            terminal.write(line)
+    return terminal.FOUND
 
 
 def _side_by_side(found: Sequence[Difference]) -> Table:

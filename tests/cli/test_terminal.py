@@ -13,7 +13,7 @@ import pytest
 from rich.table import Table
 
 from salad import __version__
-from salad.cli import shell
+from salad.cli import terminal
 from salad.cli.main import COMMANDS, main, run
 
 SUBCOMMANDS = [
@@ -161,14 +161,14 @@ def test_a_list_on_stdin_may_hold_any_name(monkeypatch: pytest.MonkeyPatch) -> N
         io.BytesIO("東京 1.jpg\r\n\n b .jpg\n".encode() + b"\xff.jpg\nlast.jpg"), encoding="ascii"
     )
     monkeypatch.setattr(sys, "stdin", given)
-    shell.settle_streams()
-    assert list(shell.listed(["first.jpg", "-", "end"])) == [
+    terminal.settle_streams()
+    assert list(terminal.expand_stdin(["first.jpg", "-", "end"])) == [
         *("first.jpg", "東京 1.jpg", " b .jpg", "\udcff.jpg", "last.jpg", "end")
     ]
 
 
 def test_facts_are_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    shell.facts({"with_position": 3, "box": None, "at": (48.1234567891, 11.5), "note": "[red] a"})
+    terminal.write_fields({"with_position": 3, "box": None, "at": (48.1234567891, 11.5), "note": "[red] a"})
     assert capsys.readouterr().out.splitlines() == [
         "with position  3",
         "box            none",
@@ -178,19 +178,19 @@ def test_facts_are_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_no_facts_are_no_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    shell.facts({})
+    terminal.write_fields({})
     assert capsys.readouterr().out == ""
 
 
 def test_a_piped_table_is_whole(capsys: pytest.CaptureFixture[str]) -> None:
     table = Table("name", box=None)
     table.add_row("x" * 700)
-    shell.put_table(table)
+    terminal.write_table(table)
     assert "x" * 700 in capsys.readouterr().out
 
 
 def test_progress_is_silent_where_nobody_watches(capsys: pytest.CaptureFixture[str]) -> None:
-    with shell.progress("indexing") as bar:
+    with terminal.progress("indexing") as bar:
         bar(1, 2)
     assert capsys.readouterr() == ("", "")
 
@@ -199,7 +199,7 @@ def test_progress_is_drawn_on_stderr_for_who_watches(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # as a terminal would
-    with shell.progress("indexing") as bar:
+    with terminal.progress("indexing") as bar:
         bar(0, None)
         bar(1, 2)
         bar(2, 2)
@@ -210,7 +210,7 @@ def test_progress_is_drawn_on_stderr_for_who_watches(
 
 
 def test_a_name_cannot_break_the_line_or_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    shell.say("a\nb\x1b[2J\u2028 東京 é.jpg is empty")
+    terminal.say("a\nb\x1b[2J\u2028 東京 é.jpg is empty")
     assert capsys.readouterr().err == "a\\nb\\x1b[2J\\u2028 東京 é.jpg is empty\n"
 
 
@@ -218,5 +218,5 @@ def test_a_name_cannot_break_the_line_or_command_the_terminal(capsys: pytest.Cap
     ("many", "lines", "last"), [(0, 0, ""), (20, 20, "19"), (1000, 21, "and 980 more are gone")]
 )
 def test_a_million_sentences_are_not_said_one_by_one(many: int, lines: int, last: str) -> None:
-    said = shell.some([str(number) for number in range(many)], what="are gone")
+    said = terminal.first_few([str(number) for number in range(many)], what="are gone")
     assert (len(said), said[-1] if said else "") == (lines, last)
