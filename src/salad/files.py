@@ -11,9 +11,11 @@ def write_whole(path: Path, content: bytes) -> None:
     """Put `content` at `path` at one stroke: written beside it, then renamed; what stood there is replaced.
 
     Raises:
-        OSError: it cannot be written; what stood there stays, and nothing is left beside it.
+        OSError: If it cannot be written; what stood there stays, and nothing is left beside it.
     """
-    part = path.with_name(f".{uuid.uuid4().hex}.part")
+    part = path.with_name(
+        f".{uuid.uuid4().hex}.part"
+    )  # on the same disk, for only there a rename is one stroke
     try:
         part.write_bytes(content)
         part.replace(path)

@@ -26,7 +26,7 @@ class GeoPoint:
     """A point on the earth in degrees of WGS84: `lat` -90 to 90, `lon` -180 to 180.
 
     Raises:
-        PositionError: where a value is not a number or out of range.
+        PositionError: If a value is not a number or out of range.
     """
 
     lat: float
@@ -98,7 +98,7 @@ def from_utm(utm_point: Utm) -> GeoPoint:
     """The point on the earth that a UTM coordinate names.
 
     Raises:
-        PositionError: where the zone, the letter or the metres lie outside the grid.
+        PositionError: If the zone, the letter or the metres lie outside the grid.
     """
     try:
         lat, lon = utm.to_latlon(utm_point.easting, utm_point.northing, utm_point.zone, utm_point.letter)
@@ -111,7 +111,7 @@ def to_utm(point: GeoPoint) -> Utm:
     """The UTM coordinate of a point, in the zone it lies in (with Norway's and Svalbard's exceptions).
 
     Raises:
-        PositionError: beyond 84 degrees north or 80 degrees south, where UTM ends.
+        PositionError: If it lies beyond 84 degrees north or 80 degrees south, where UTM ends.
     """
     try:
         easting, northing, zone, letter = utm.from_latlon(point.lat, point.lon)
@@ -134,29 +134,26 @@ def shifted(point: GeoPoint, north_m: float, east_m: float) -> GeoPoint:
     ahead = math.cos(lat) * math.cos(arc) - math.sin(lat) * math.sin(arc) * math.cos(bearing)
     aside = math.sin(arc) * math.sin(bearing)
     turned = math.degrees(lon + math.atan2(aside, ahead))
-    return GeoPoint(math.degrees(math.atan2(up, math.hypot(ahead, aside))), _wrapped(turned))
-
-
-def _wrapped(lon: float) -> float:
-    """The same longitude between -180 and 180; one that is already there stays as it is."""
-    return lon if -180 <= lon <= 180 else (lon + 180) % 360 - 180
+    # Across the date line; elsewhere as it is, for the remainder would cost its last digits.
+    turned = turned if -180 <= turned <= 180 else (turned + 180) % 360 - 180
+    return GeoPoint(math.degrees(math.atan2(up, math.hypot(ahead, aside))), turned)
 
 
 def centre(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -> GeoPoint:
     """The weighted mean of points on the sphere, right across the date line and at the poles.
 
     Args:
-        points: at least one.
-        weights: one a point, none negative, not all zero; equal where not given.
+        points: At least one.
+        weights: One a point, none negative, not all zero; equal where not given.
 
     Raises:
-        PositionError: where there is no point, the weights do not fit, or the points cancel out (antipodes).
+        PositionError: If there is no point, the weights do not fit, or the points cancel out (antipodes).
     """
-    shares = _shares(points, weights)
+    normalised = _normalised(points, weights)
     lat, lon = np.radians([[p.lat for p in points], [p.lon for p in points]])
     units = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    x, y, z = (float(v) for v in units @ shares)
-    if math.hypot(x, y, z) < 1e-9:
+    x, y, z = (float(v) for v in units @ normalised)
+    if math.hypot(x, y, z) < 1e-9:  # of rounding errors alone, which point anywhere
         raise PositionError(f"{len(points)} points lie evenly around the earth and have no centre: use fewer")
     return GeoPoint(math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x)))
 
@@ -165,14 +162,14 @@ def spread(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -
     """How far points scatter: the weighted root mean square of their distances in metres to their centre.
 
     Raises:
-        PositionError: as `centre` does.
+        PositionError: As `centre` does.
     """
     middle = centre(points, weights)
     apart = metres([p.lat for p in points], [p.lon for p in points], middle.lat, middle.lon)
-    return math.sqrt(float(_shares(points, weights) @ apart**2))
+    return math.sqrt(float(_normalised(points, weights) @ apart**2))
 
 
-def _shares(points: Sequence[GeoPoint], weights: Sequence[float] | None) -> NDArray[np.float64]:
+def _normalised(points: Sequence[GeoPoint], weights: Sequence[float] | None) -> NDArray[np.float64]:
     """Weights that sum to one, `[len(points)]`."""
     if not points:
         raise PositionError("no points are given, so there is no centre: give at least one")
@@ -185,5 +182,5 @@ def _shares(points: Sequence[GeoPoint], weights: Sequence[float] | None) -> NDAr
             "weights of points must be finite, none negative and not all zero: check the scores"
         )
     scaled = given / largest  # first, so that huge weights do not overflow in the sum
-    shares: NDArray[np.float64] = scaled / scaled.sum()
-    return shares
+    normalised: NDArray[np.float64] = scaled / scaled.sum()
+    return normalised

@@ -355,25 +355,19 @@ def test_real_photos_decoded_smaller_differ_by_less_than_a_level(shared: Path) -
     assert max(apart) < 3
 
 
-# --- writing -------------------------------------------------------------------------------
+def test_an_orientation_that_cannot_be_read_turns_nothing_but_want_of_memory_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Image.fromarray(COLOURS).save(tmp_path / "a.png")
 
+    def raising(error: Exception) -> None:
+        def turn(*_: object, **__: object) -> None:
+            raise error
 
-def test_save_jpeg_takes_images_of_any_mode_and_replaces(tmp_path: Path) -> None:
-    path = tmp_path / "a.jpg"
-    save_jpeg(Image.new("RGBA", (8, 8), (0, 0, 0, 0)), path)
-    assert (np.asarray(open_rgb(path)) == 255).all()
-    save_jpeg(np.zeros((8, 8, 3), np.uint8), str(path), quality=50)
-    assert not np.asarray(open_rgb(path)).any()
-    assert [p.name for p in tmp_path.iterdir()] == ["a.jpg"]
+        monkeypatch.setattr(ImageOps, "exif_transpose", turn)
 
-
-def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
-    image = Image.new("RGB", (8, 8))
-    (tmp_path / "file").touch()
-    (tmp_path / "folder.jpg").mkdir()
-    for path in (tmp_path / "gone/a.jpg", tmp_path / "file/a.jpg", tmp_path / "folder.jpg"):
-        with pytest.raises(PhotoError, match="cannot be written"):
-            save_jpeg(image, path)
-    with pytest.raises(PhotoError, match="cannot be written"):
-        save_jpeg(Image.new("L", (70_000, 1)), tmp_path / "wide.jpg")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.jpg"]
+    raising(SyntaxError("not a TIFF file"))
+    assert np.array_equal(np.asarray(open_rgb(tmp_path / "a.png")), COLOURS)
+    raising(MemoryError())
+    with pytest.raises(PhotoError, match="more memory than there is"):
+        open_rgb(tmp_path / "a.png")
