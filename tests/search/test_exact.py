@@ -304,10 +304,13 @@ def test_an_interrupt_of_the_caller_ends_the_search(small: None, monkeypatch: py
             raise KeyboardInterrupt
         return each(team, work, items)  # type: ignore[arg-type]  # whatever it is given
 
+    offered = list[object]()
     monkeypatch.setattr(exact, "_each", until_interrupted)
+    monkeypatch.setattr(exact._Batch, "offer", lambda _, block: offered.append(block))
     with pytest.raises(KeyboardInterrupt):
-        ExactSearcher(rows, threads=2).search(np.ones((1, 8)), k=1)
+        ExactSearcher(rows, threads=2).search(np.ones((7, 8)), k=1)
     assert len(rows.begun) == 1
+    assert offered == []  # the block that was being read is not multiplied any more
 
 
 def test_threads_that_cannot_start_leave_none_waiting(small: None, monkeypatch: pytest.MonkeyPatch) -> None:

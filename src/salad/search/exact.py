@@ -168,15 +168,19 @@ class ExactSearcher:
                 for start, stop in todo:
                     block = reader.read(start, stop)
                     for batch in batches:
+                        if todo.stopped:  # a block may take seconds where queries are many
+                            return
                         batch.offer(block)
-            finally:
-                todo.drop()  # where this thread fails, no other begins another block
+            except BaseException:
+                todo.stopped = True  # where this thread fails, the others need not go on
+                raise
 
         with nullcontext() if threads == 1 else ThreadPoolExecutor(threads, "salad-search") as team:
             try:
                 _each(team, sweep, range(threads))
-            finally:
-                todo.drop()  # on an interrupt too
+            except BaseException:
+                todo.stopped = True  # on an interrupt too, or leaving would wait for all of it
+                raise
             return _each(team, lambda batch: batch.candidates.hits(), batches)
 
 
@@ -206,10 +210,11 @@ def _multiplies_bfloat16() -> bool:
 class _Todo:
     """Blocks that nobody has begun yet: (first row, row behind the last). Threads share it.
 
-    Blocks of which no row is allowed are left out.
+    Blocks of which no row is allowed are left out. Once it is `stopped`, there are no more.
     """
 
     def __init__(self, rows: int, size: int, allowed: Mask | None) -> None:
+        self.stopped = False
         self._left: SimpleQueue[tuple[int, int]] = SimpleQueue()
         for start in range(0, rows, size):
             stop = min(start + size, rows)
@@ -218,15 +223,10 @@ class _Todo:
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         try:
-            while True:
+            while not self.stopped:
                 yield self._left.get_nowait()
         except Empty:
             return
-
-    def drop(self) -> None:
-        """Leave none."""
-        for _ in self:
-            pass
 
 
 class _Ready(NamedTuple):
