@@ -218,7 +218,11 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
     if not head:
         raise PhotoError(f"{path} is empty (0 bytes): fetch it again from where it came from")
     heif: Any = None
-    if _is_heic(head):
+    brands: set[bytes] = set()
+    if head[4:8] == b"ftyp":  # the family of HEIC and AVIF, each of whose files lists its brands
+        end = min(int.from_bytes(head[:4], "big"), len(head))
+        brands = {head[8:12], *(head[start : start + 4] for start in range(16, end, 4))}
+    if brands & _HEIC and not brands & _AVIF:
         try:
             heif = importlib.import_module("pillow_heif")
         except ImportError as error:
@@ -240,15 +244,6 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
         ) from error
     _check_size(path, image)
     return image
-
-
-def _is_heic(head: bytes) -> bool:
-    """Whether a file of the HEIC and AVIF family is HEIC: its brands say so, and none says AVIF."""
-    if head[4:8] != b"ftyp":
-        return False
-    end = min(int.from_bytes(head[:4], "big"), len(head))
-    brands = {head[8:12], *(head[start : start + 4] for start in range(16, end, 4))}
-    return bool(brands & _HEIC) and not brands & _AVIF
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import sys
 import unicodedata
@@ -183,7 +182,10 @@ class Row:
         """
         if None in fields:
             raise ValueError("it has more fields than the header (put names with commas in quotes)")
-        texts = {name: _text(value) for name, value in fields.items()}
+        # As CSV would hold them. What is not known is None or, by pandas, NaN, which does not equal itself.
+        known = {name: "" if value is None or value != value else value for name, value in fields.items()}
+        times = {name: value.isoformat() for name, value in known.items() if isinstance(value, datetime)}
+        texts = {name: times.get(name) or str(value).strip() for name, value in known.items()}
         path, heading, time = (texts.get(column, "") for column in ("path", "heading", "time"))
         if not path or "\0" in path:
             raise ValueError("its path is empty or no file's name")
@@ -328,13 +330,6 @@ def _header(path: Path, names: list[str]) -> list[str]:
                 f"write path,lat,lon[,heading,time] in the first line, with commas"
             )
     return header
-
-
-def _text(value: object) -> str:
-    """A value of Parquet as CSV would hold it; whoever has no heading may write nothing or NaN."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return value.isoformat() if isinstance(value, datetime) else str(value).strip()
 
 
 def _degrees(text: str, column: str) -> float:
