@@ -25,7 +25,7 @@ from salad.models.fake import FakeDescriber
 from salad.network.config import Calibration
 from salad.search import exact
 from salad.search.base import ArrayRows, Hits
-from salad.search.plain import PlainSearcher
+from salad.search.brute_force import BruteForceSearcher
 
 KS = (1, 2, 3, 5, 8)
 # A busy machine is no failure: no test here depends on time.
@@ -146,7 +146,7 @@ class TestRank:
             assert scores[0] == pytest.approx(float(one[number].astype(float) @ one[number]), rel=1e-12)
 
     def test_another_searcher_finds_what_it_finds(self) -> None:
-        class First(PlainSearcher):
+        class First(BruteForceSearcher):
             def search(self, queries: np.ndarray, *, k: int, allowed: Any = None) -> Hits:
                 return super().search(queries, k=k, allowed=np.arange(len(self)) < 2)
 

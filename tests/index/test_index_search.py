@@ -19,9 +19,9 @@ from salad.geo import GeoPoint, metres
 from salad.images.photo import Photo
 from salad.index.index import Index, Match
 from salad.search.base import Hits, Rows
+from salad.search.brute_force import BruteForceSearcher
 from salad.search.exact import ExactSearcher
 from salad.search.filters import Filter
-from salad.search.plain import PlainSearcher
 
 COUNT, DIM = 3000, 64
 
@@ -65,7 +65,7 @@ ASKED: list[dict[str, Any]] = [
 def test_any_searcher_may_stand_in_for_the_exact_one(
     folder: Path, index: Index, asked: dict[str, Any]
 ) -> None:
-    with Index.open(folder, searcher=PlainSearcher) as plain:
+    with Index.open(folder, searcher=BruteForceSearcher) as plain:
         assert numbers(plain.search(**asked)) == numbers(index.search(**asked))
 
 

@@ -13,9 +13,9 @@ import pytest
 from salad.geo import GeoPoint
 from salad.index.vectors import FileRows
 from salad.search.base import LONGEST_UNIT, ArrayRows, Hits, Searcher, SearchError
+from salad.search.brute_force import BruteForceSearcher
 from salad.search.exact import ExactSearcher
 from salad.search.filters import Filter
-from salad.search.plain import PlainSearcher
 
 Make = Callable[[np.ndarray], Searcher]
 
@@ -47,7 +47,7 @@ def _of_another_tool(rows: np.ndarray) -> FileRows:
 
 
 SEARCHERS: dict[str, Make] = {
-    "plain": lambda rows: PlainSearcher(_half(rows)),
+    "brute force": lambda rows: BruteForceSearcher(_half(rows)),
     "exact, float16": lambda rows: ExactSearcher(_half(rows)),
     "exact, float32": lambda rows: ExactSearcher(_single(rows)),
     "exact, any length": lambda rows: ExactSearcher(_of_any_length(rows)),

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from salad.errors import StoreError
 from salad.search import exact
 from salad.search.base import LONGEST_UNIT, ArrayRows, DamagedRowError, Hits, Rows
+from salad.search.brute_force import BruteForceSearcher
 from salad.search.exact import ExactSearcher
-from salad.search.plain import PlainSearcher
 
 
 def unit(rng: np.random.Generator, rows: int, dim: int) -> np.ndarray:
@@ -32,7 +32,7 @@ def agree(
     rows: Rows, queries: np.ndarray, *, k: int, allowed: np.ndarray | None = None, threads: int = 1
 ) -> None:
     found = ExactSearcher(rows, threads=threads).search(queries, k=k, allowed=allowed)
-    assert same(found, PlainSearcher(rows).search(queries, k=k, allowed=allowed))
+    assert same(found, BruteForceSearcher(rows).search(queries, k=k, allowed=allowed))
 
 
 @pytest.fixture(params=["float16", "bfloat16"])
@@ -223,7 +223,7 @@ def test_damaged_rows_are_never_ahead_and_harm_no_other(
         sound[row] = False
     asked = np.concatenate([unit(rng, 3, 12), -unit(rng, 1, 12)])
     found = ExactSearcher(ArrayRows(spoilt, longest=LONGEST_UNIT)).search(asked, k=k)
-    expected = PlainSearcher(ArrayRows(matrix, longest=LONGEST_UNIT)).search(asked, k=k, allowed=sound)
+    expected = BruteForceSearcher(ArrayRows(matrix, longest=LONGEST_UNIT)).search(asked, k=k, allowed=sound)
     for rows, scores, best in zip(found.rows, found.scores, expected.rows, strict=True):
         # A row that is only too long may come out where it points away, but never ahead of a sound one's score.
         kept = rows[(rows >= 0) & sound[rows]]
@@ -257,7 +257,7 @@ def test_rows_that_are_lost_are_not_found(small: None) -> None:
     rng = np.random.default_rng(2)
     rows, asked = Lost(unit(rng, 60, 8).astype(np.float16), longest=LONGEST_UNIT), unit(rng, 5, 8)
     found = ExactSearcher(rows, threads=2).search(asked, k=60)
-    assert same(found, PlainSearcher(rows).search(asked, k=60, allowed=np.arange(60) < 30))
+    assert same(found, BruteForceSearcher(rows).search(asked, k=60, allowed=np.arange(60) < 30))
 
 
 # --- threads --------------------------------------------------------------------------------

@@ -20,9 +20,10 @@ import numpy.typing as npt
 
 from salad.errors import StoreError, WrongModelError
 from salad.images.photo import Photo, content_hash
-from salad.index import index_folder, listing, verify
+from salad.index import index_folder, verify
 from salad.index.catalog import CATALOG_FILE, Catalog, Committed
 from salad.index.compact import Compacted, compact
+from salad.index.contents import Page, listed, pages
 from salad.index.filter_sql import allowed
 from salad.index.index_folder import Header
 from salad.index.vectors import FileRows, Snapshot, append, storable, sums
@@ -317,15 +318,15 @@ class Index:
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
-        return (photo for photo, _ in listing.listed(self._catalog))
+        return (photo for photo, _ in listed(self._catalog))
 
-    def pages(self) -> Iterator[listing.Page]:
+    def pages(self) -> Iterator[Page]:
         """Every photo with its content and descriptor, as one commit holds them, some at a time.
 
         Raises:
             StoreError: If another program compacts the index meanwhile.
         """
-        return listing.pages(self._catalog, self._snapshot)
+        return pages(self._catalog, self._snapshot)
 
     def check_model(self, model: DescriberLike) -> None:
         """Make sure that `model` is the one the index was made with.

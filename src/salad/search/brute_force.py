@@ -1,4 +1,4 @@
-"""The plainest searcher there is: all scores at once, in float64, sorted.
+"""Brute force: all scores at once, in float64, sorted.
 
 What the tests hold every other searcher to, and a pattern for writing one. It takes memory for every score.
 """
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from salad.search.filters import Filter
 
 
-class PlainSearcher:
+class BruteForceSearcher:
     """Finds the rows with the highest dot products.
 
     Args:
