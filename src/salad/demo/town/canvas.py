@@ -16,10 +16,20 @@ GRAIN = 32.0  # texels a metre on facades
 
 
 class Canvas:
-    """A rectangle of wall, `width` by `height` metres, painted in metres from its lower left corner."""
+    """A rectangle of wall, painted in metres from its lower left corner.
 
-    def __init__(self, width: float, height: float, colour: Paint, grain: float = GRAIN) -> None:
-        self.width, self.height, self.grain = width, height, grain
+    Args:
+        width: In metres.
+        height: In metres.
+        colour: Of the bare wall.
+        grain: Texels a metre.
+        fits: Whether it is stretched over a face of any size, instead of repeating at its own scale.
+    """
+
+    def __init__(
+        self, width: float, height: float, colour: Paint, grain: float = GRAIN, *, fits: bool = True
+    ) -> None:
+        self.width, self.height, self.grain, self.fits = width, height, grain, fits
         # Two texels at least, or a texture has no inside to sample.
         shape = max(2, round(height * grain)), max(2, round(width * grain))
         self.rgb: Floats = np.empty((*shape, 3), np.float32)
@@ -88,9 +98,9 @@ class Canvas:
         part = self.rgb[top : top + small.height, start : start + small.width]
         part[:] = part * (1 - cover) + cover * np.array(colour, np.float32)
 
-    def texture(self, *, fits: bool = True) -> Texture:
-        """The finished wall; `fits` stretches it over a face of any size."""
-        return Texture.of(self.rgb, self.kind, self.grain, fits=fits)
+    def texture(self) -> Texture:
+        """The finished wall."""
+        return Texture.of(self.rgb, self.kind, self.grain, fits=self.fits)
 
     def clad(self, wall: str, seed: Sequence[int], low: float = 0.0, high: float | None = None) -> None:
         """Turn the plain colour between two heights into brick, plaster, boards or stone."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from salad.demo.town.camera import Camera
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Skin = tuple[Any, ...]
+"""A function that paints a `Canvas`, and what it is called with."""
 
 NEAR = 0.3  # nothing nearer to the camera than this is drawn, in metres
 
@@ -80,14 +83,14 @@ class Faces:
     """Many parallelograms: corner, the two edges from it (right and up, seen from outside), what is on them.
 
     Attributes:
-        skins: Per face, a key the painter turns into a `Texture`.
+        skins: Per face, what paints it and with what: faces of one skin share one `Texture`.
         both: Per face, whether it is seen from behind too.
     """
 
     corner: list[Sequence[float]] = field(default_factory=list)
     right: list[Sequence[float]] = field(default_factory=list)
     up: list[Sequence[float]] = field(default_factory=list)
-    skins: list[tuple[object, ...]] = field(default_factory=list)
+    skins: list[Skin] = field(default_factory=list)
     both: list[bool] = field(default_factory=list)
 
     def add(
@@ -95,7 +98,7 @@ class Faces:
         corner: Sequence[float] | NDArray[np.floating],
         right: Sequence[float] | NDArray[np.floating],
         up: Sequence[float] | NDArray[np.floating],
-        skin: tuple[object, ...],
+        skin: Skin,
         *,
         both: bool = False,
     ) -> None:
@@ -231,7 +234,7 @@ class Seen:
         self.nearness.ravel()[flat] = near[hit]
 
 
-def cast(camera: Camera, faces: Faces, paint: Callable[[tuple[object, ...]], Texture]) -> Seen:
+def cast(camera: Camera, faces: Faces, paint: Callable[[Skin], Texture]) -> Seen:
     """Send a ray through every pixel of `camera` and keep the nearest face it meets."""
     width, height = camera.size
     seen = Seen(

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salad.demo.town import things
 from salad.demo.town.camera import Shot
-from salad.demo.town.facade import paint_front, paint_mansard, paint_side
 from salad.demo.town.ground import Field, Ground, heights, shadows
 from salad.demo.town.light import LIGHTS, develop, expose, towards
 from salad.demo.town.plan import Thing, TownPlan, park_cars, plan_town
-from salad.demo.town.raster import Faces, Texture, cast
+from salad.demo.town.raster import Faces, Skin, Texture, cast
 
 SIGHT = 130.0  # nothing farther away is drawn, in metres
 FINER = 1.5  # rays a pixel, along each side: averaged down, they spare roofs and railings their stairs
@@ -27,7 +24,7 @@ class Studio:
     """Draws photos of one town; keeps painted walls, shadows and the ground from one photo to the next."""
 
     plan: TownPlan
-    textures: dict[tuple[object, ...], Texture] = field(default_factory=dict)
+    textures: dict[Skin, Texture] = field(default_factory=dict)
     shades: dict[tuple[str, int], Field] = field(default_factory=dict)
     houses: list[Faces] = field(default_factory=list)
 
@@ -40,7 +37,7 @@ class Studio:
     def __post_init__(self) -> None:
         """Survey the ground and put up the houses."""
         self.ground = Ground.of(self.plan)
-        self.houses = [things.house_faces(house, number) for number, house in enumerate(self.plan.houses)]
+        self.houses = [things.house_faces(house) for house in self.plan.houses]
         self.centres = np.array([house.corners.mean(axis=0) for house in self.plan.houses])
 
     def draw(self, shot: Shot) -> NDArray[np.uint8]:
@@ -80,9 +77,9 @@ class Studio:
             if 4.2 < np.hypot(*(np.array(car.where) - place)) < 90:
                 faces.extend(things.car_faces(car))
         for number, tree in enumerate(self.plan.trees):
-            _stand(faces, tree, place, tree.height * 0.8, ("tree", tree.sort, number % 5))
+            _stand(faces, tree, place, tree.height * 0.8, (things.paint_tree, tree.sort, number % 5))
         for lamp in self.plan.lamps:
-            _stand(faces, lamp, place, 0.8, ("lamp",))
+            _stand(faces, lamp, place, 0.8, (things.paint_lamp,))
         return faces
 
     def lamps(self, shot: Shot) -> NDArray[np.float64]:
@@ -100,40 +97,15 @@ class Studio:
             self.shades = {key: shadows(heights(self.plan, parked), towards(LIGHTS[shot.light]))}
         return self.shades[key]
 
-    def paint(self, skin: tuple[object, ...]) -> Texture:
+    def paint(self, skin: Skin) -> Texture:
         """The texture a face asks for, painted at the first asking."""
         if skin not in self.textures:
-            self.textures[skin] = self._paint(*skin)
+            painter, *details = skin
+            self.textures[skin] = painter(*details).texture()
         return self.textures[skin]
 
-    def _paint(self, name: object, *rest: Any) -> Texture:
-        houses = self.plan.houses
-        match name, rest:
-            case "front", (number,):
-                return paint_front(houses[number].style, houses[number].width).texture()
-            case "side", (number, wall):
-                start, stop = houses[number].corners[[wall, (wall + 1) % 4]]
-                return paint_side(houses[number].style, float(np.linalg.norm(stop - start)), wall).texture()
-            case "mansard", (number,):
-                house = houses[number]
-                return paint_mansard(house.style, house.width, things.MANSARD_SLOPE).texture()
-        makers: dict[object, Callable[..., Texture]] = {
-            "tree": things.paint_tree,
-            "lamp": things.paint_lamp,
-            "car": things.paint_car,
-            "car-part": things.paint_car_part,
-            "tiles": things.paint_tiles,
-            "stripes": things.paint_stripes,
-            "railing": things.paint_railing,
-            "plain": things.paint_plain,
-            "blade": things.paint_blade,
-        }
-        return makers[name](*rest)
 
-
-def _stand(
-    faces: Faces, thing: Thing, place: NDArray[np.float64], width: float, skin: tuple[object, ...]
-) -> None:
+def _stand(faces: Faces, thing: Thing, place: NDArray[np.float64], width: float, skin: Skin) -> None:
     """Put up a flat picture that turns towards the camera."""
     away = np.array(thing.where) - place
     distance = float(np.hypot(*away))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from salad.demo.town.canvas import Canvas, noise
-from salad.demo.town.facade import front_height
+from salad.demo.town.facade import front_height, paint_front, paint_mansard, paint_side
 from salad.demo.town.plan import House, Thing
-from salad.demo.town.raster import LAMP, LEAF, MATTE, Faces, Texture
+from salad.demo.town.raster import LAMP, LEAF, MATTE, Faces
 
 MANSARD = (2.5, 0.7)  # how high a mansard roof rises and how far it leans back, in metres
 MANSARD_SLOPE = float(np.hypot(*MANSARD))
 LEAVES = ((72, 94, 46), (90, 106, 52), (58, 82, 50), (104, 112, 60), (82, 102, 66), (66, 80, 42))
 
 
-def paint_tree(sort: int, variant: int) -> Texture:
+def paint_tree(sort: int, variant: int) -> Canvas:
     """A tree as seen from anywhere: 1 metre high and 0.8 wide, to be stretched."""
     rng = np.random.default_rng([sort, variant, 31])
     canvas = Canvas(0.8, 1.0, LEAVES[sort % len(LEAVES)], 320.0)
@@ -45,10 +44,10 @@ def paint_tree(sort: int, variant: int) -> Texture:
         for down, aside in np.ndindex(3, 4):
             canvas.rgb[rows + down, columns + aside] = shade[inside, None] * colour
             canvas.kind[rows + down, columns + aside] = LEAF
-    return canvas.texture()
+    return canvas
 
 
-def paint_lamp() -> Texture:
+def paint_lamp() -> Canvas:
     """A street lamp, 5.2 m high and 0.8 m wide."""
     canvas = Canvas(0.8, 5.2, (44, 50, 50))
     canvas.kind[:] = 0
@@ -60,51 +59,51 @@ def paint_lamp() -> Texture:
         canvas.rect(place, 4.46, place + 0.03, 5.0, (40, 46, 46), MATTE)
     canvas.rect(0.2, 5.0, 0.6, 5.08, (40, 46, 46), MATTE)
     canvas.rect(0.32, 5.08, 0.48, 5.18, (40, 46, 46), MATTE)
-    return canvas.texture()
+    return canvas
 
 
-def paint_tiles(colour: tuple[int, int, int]) -> Texture:
+def paint_tiles(colour: tuple[int, int, int]) -> Canvas:
     """Roof tiles, four metres square, repeating."""
-    canvas = Canvas(4.0, 4.0, colour, 24.0)
+    canvas = Canvas(4.0, 4.0, colour, 24.0, fits=False)
     rows, columns = np.indices(canvas.kind.shape)
     shade = np.random.default_rng(sum(colour)).normal(1, 0.09, (16, 16))[
         rows // 6, (columns + rows // 6 % 2 * 3) // 6 % 16
     ]
     shade = shade * (0.84 + 0.05 * (rows % 6)) * (1 + 0.06 * noise(canvas.kind.shape, [sum(colour), 41]))
     canvas.rgb *= shade[..., None].astype(np.float32)
-    return canvas.texture(fits=False)
+    return canvas
 
 
-def paint_stripes(colour: tuple[int, int, int], scallops: bool) -> Texture:
+def paint_stripes(colour: tuple[int, int, int], scallops: bool) -> Canvas:
     """Awning cloth: white and coloured stripes, a metre square, perhaps with a scalloped lower edge."""
-    canvas = Canvas(1.0, 1.0, colour, 32.0)
+    canvas = Canvas(1.0, 1.0, colour, 32.0, fits=False)
     across, up = canvas.grid()
     canvas.rgb[(across * 4) % 2 < 1] = (236, 230, 216)
     if scallops:
         canvas.kind[up < 0.5 * np.abs(np.sin(across * np.pi * 4))] = 0
-    return canvas.texture(fits=False)
+    return canvas
 
 
-def paint_railing() -> Texture:
+def paint_railing() -> Canvas:
     """Iron bars, a metre square."""
-    canvas = Canvas(1.0, 1.0, (34, 36, 40), 32.0)
+    canvas = Canvas(1.0, 1.0, (34, 36, 40), 32.0, fits=False)
     across, up = canvas.grid()
     canvas.kind[((across * 8) % 1 > 0.3) & (up > 0.12) & (up < 0.9)] = 0
-    return canvas.texture(fits=False)
+    return canvas
 
 
-def paint_plain(colour: tuple[int, int, int]) -> Texture:
+def paint_plain(colour: tuple[int, int, int]) -> Canvas:
     """One colour, a metre square."""
-    return Canvas(1.0, 1.0, colour, 8.0).texture(fits=False)
+    return Canvas(1.0, 1.0, colour, 8.0, fits=False)
 
 
-def paint_blade(text: str, colour: tuple[int, int, int]) -> Texture:
+def paint_blade(text: str, colour: tuple[int, int, int]) -> Canvas:
     """A sign that hangs out over the pavement, 0.9 by 0.7 m."""
     canvas = Canvas(0.9, 0.7, colour, 64.0)
     canvas.rect(0.03, 0.03, 0.87, 0.67, (240, 232, 212))
     canvas.rect(0.06, 0.06, 0.84, 0.64, colour)
     canvas.write(text, 0.1, 0.2, 0.8, 0.5, (244, 236, 214))
-    return canvas.texture()
+    return canvas
 
 
 def front_faces(house: House, number: int, *, awning_out: bool) -> Faces:
@@ -118,66 +117,56 @@ def front_faces(house: House, number: int, *, awning_out: bool) -> Faces:
         hinge = start + right * 0.25 + up * (style.ground - 0.98)
         edge = hinge + out * reach - up * drop
         wide = right * (house.width - 0.5)
-        faces.add(edge, wide, hinge - edge, ("stripes", style.awning, False), both=True)
-        faces.add(edge - up * 0.24, wide, up * 0.24, ("stripes", style.awning, True), both=True)
+        faces.add(edge, wide, hinge - edge, (paint_stripes, style.awning, False), both=True)
+        faces.add(edge - up * 0.24, wide, up * 0.24, (paint_stripes, style.awning, True), both=True)
     if style.shop and "blade" in style.extras:
         pole = start + right * (house.width - 0.35) + up * (style.ground + 0.1)
-        faces.add(pole + out * 0.1, out * 0.9, up * 0.7, ("blade", style.shop, style.accent), both=True)
+        faces.add(pole + out * 0.1, out * 0.9, up * 0.7, (paint_blade, style.shop, style.accent), both=True)
     if "balcony" in style.extras and style.storeys > 2:
         floor = style.ground + style.storey * ((number % (style.storeys - 1)) if style.storeys > 3 else 0)
         low, wide = start + right * house.width * 0.2 + up * floor, right * house.width * 0.6
-        faces.add(low + out * 0.9, wide, -out * 0.9, ("plain", style.trim), both=True)
-        faces.add(low + out * 0.9 - up * 0.14, wide, up * 0.16, ("plain", style.trim), both=True)
-        faces.add(low + out * 0.9, wide, up * 0.95, ("railing",), both=True)
+        faces.add(low + out * 0.9, wide, -out * 0.9, (paint_plain, style.trim), both=True)
+        faces.add(low + out * 0.9 - up * 0.14, wide, up * 0.16, (paint_plain, style.trim), both=True)
+        faces.add(low + out * 0.9, wide, up * 0.95, (paint_railing,), both=True)
         for side in (low, low + wide):
-            faces.add(side, out * 0.9, up * 0.95, ("railing",), both=True)
+            faces.add(side, out * 0.9, up * 0.95, (paint_railing,), both=True)
     return faces
 
 
-def house_faces(house: House, number: int) -> Faces:
+def house_faces(house: House) -> Faces:
     """Walls, roof and chimneys."""
-    style, faces = house.style, Faces()
+    style, width, faces = house.style, house.width, Faces()
     low = np.concatenate([house.corners, np.zeros((4, 1))], axis=1)
+    sides = np.roll(low, -1, axis=0) - low  # from each corner to the next: the front, and on around the house
     up = np.array([0.0, 0.0, 1.0])
-    depth = float(np.linalg.norm(house.corners[3] - house.corners[0]))
-    faces.add(low[0], low[1] - low[0], up * front_height(style, house.width), ("front", number))
+    depth = float(np.linalg.norm(sides[3]))
+    faces.add(low[0], sides[0], up * front_height(style, width), (paint_front, style, width))
     for wall in (1, 2, 3):
         gable = style.roof == "eaves" and wall != 2
         height = style.eaves + (depth / 2 * style.rise if gable else 0.0)
-        faces.add(low[wall], low[(wall + 1) % 4] - low[wall], up * height, ("side", number, wall))
-    eaves = low + up * style.eaves
+        skin = (paint_side, style, float(np.linalg.norm(sides[wall])), wall)
+        faces.add(low[wall], sides[wall], up * height, skin)
+    eaves, tiles = low + up * style.eaves, (paint_tiles, style.tiles)
     if style.roof in ("gable", "stepped"):
-        rise = up * house.width / 2 * style.rise
-        ridge = (eaves[0] + eaves[1]) / 2 + rise
-        faces.add(eaves[3], eaves[0] - eaves[3], ridge - eaves[0], ("tiles", style.tiles), both=True)
-        faces.add(eaves[1], eaves[2] - eaves[1], ridge - eaves[1], ("tiles", style.tiles), both=True)
+        ridge = (eaves[0] + eaves[1]) / 2 + up * width / 2 * style.rise
+        faces.add(eaves[3], sides[3], ridge - eaves[0], tiles, both=True)
+        faces.add(eaves[1], sides[1], ridge - eaves[1], tiles, both=True)
     elif style.roof == "eaves":
         ridge = (eaves[0] + eaves[3]) / 2 + up * depth / 2 * style.rise
-        faces.add(eaves[0], eaves[1] - eaves[0], ridge - eaves[0], ("tiles", style.tiles), both=True)
-        faces.add(eaves[2], eaves[3] - eaves[2], ridge - eaves[3], ("tiles", style.tiles), both=True)
+        faces.add(eaves[0], sides[0], ridge - eaves[0], tiles, both=True)
+        faces.add(eaves[2], sides[2], ridge - eaves[3], tiles, both=True)
     elif style.roof == "mansard":
-        inward = (low[3] - low[0]) / depth
-        faces.add(eaves[0], eaves[1] - eaves[0], up * MANSARD[0] + inward * MANSARD[1], ("mansard", number))
+        slope = up * MANSARD[0] - sides[3] / depth * MANSARD[1]
+        faces.add(eaves[0], sides[0], slope, (paint_mansard, style, width, MANSARD_SLOPE))
         for wall in (1, 2, 3):
-            faces.add(
-                eaves[wall], eaves[(wall + 1) % 4] - eaves[wall], up * MANSARD[0], ("tiles", style.tiles)
-            )
+            faces.add(eaves[wall], sides[wall], up * MANSARD[0], tiles)
     if "chimney" in style.extras:
-        faces.extend(chimney_faces(house, low, style.eaves))
-    return faces
-
-
-def chimney_faces(house: House, low: NDArray[np.float64], height: float) -> Faces:
-    """A chimney on the roof of a house: `low` are its corners ``[4, 3]``, `height` is where the roof begins."""
-    faces, style = Faces(), house.style
-    across = (low[1] - low[0]) / np.linalg.norm(low[1] - low[0])
-    inward = (low[3] - low[0]) / np.linalg.norm(low[3] - low[0])
-    part = 0.1 if sum(style.seed) % 2 else 0.8
-    foot = low[0] + (low[1] - low[0]) * part + (low[3] - low[0]) * 0.4 + np.array([0, 0, height])
-    top = np.array([0, 0, 1.5 + (4.2 * style.rise if style.roof == "eaves" else 2.4)])
-    corners = [foot, foot + across * 0.8, foot + across * 0.8 + inward * 0.6, foot + inward * 0.6]
-    for number in range(4):
-        faces.add(corners[number], corners[(number + 1) % 4] - corners[number], top, ("plain", (124, 82, 66)))
+        across, inward = sides[0] / np.linalg.norm(sides[0]), -sides[3] / depth
+        foot = eaves[0] + sides[0] * (0.1 if sum(style.seed) % 2 else 0.8) - sides[3] * 0.4
+        ring = np.array([foot, foot + across * 0.8, foot + across * 0.8 + inward * 0.6, foot + inward * 0.6])
+        top = up * (1.5 + (4.2 * style.rise if style.roof == "eaves" else 2.4))
+        for corner, side in zip(ring, np.roll(ring, -1, axis=0) - ring, strict=True):
+            faces.add(corner, side, top, (paint_plain, (124, 82, 66)))
     return faces
 
 
@@ -194,7 +183,7 @@ PROFILES: tuple[tuple[tuple[float, float], ...], ...] = (
 )  # fmt: skip
 
 
-def paint_car(profile: int, paint: int) -> Texture:
+def paint_car(profile: int, paint: int) -> Canvas:
     """A car's side: body, windows and wheels cut out along its profile."""
     outline = np.array(PROFILES[profile])
     canvas = Canvas(outline[:, 0].max() + 0.01, 2.0, PAINTS[paint], 96.0)
@@ -220,10 +209,10 @@ def paint_car(profile: int, paint: int) -> Texture:
         canvas.rgb[(away < 0.17) & (np.sin(np.arctan2(up - 0.31, across - wheel) * 5) > 0.2)] = (60, 60, 64)
     canvas.rect(0.0, 0.6, 0.14, 0.74, (236, 232, 214))
     canvas.rect(canvas.width - 0.14, 0.66, canvas.width, 0.86, (150, 26, 24))
-    return canvas.texture()
+    return canvas
 
 
-def paint_car_part(paint: int, part: str) -> Texture:
+def paint_car_part(paint: int, part: str) -> Canvas:
     """A panel across a car: ``body``, ``glass``, ``front`` or ``rear``, one metre square."""
     colour = (58, 70, 80) if part == "glass" else PAINTS[paint]
     canvas = Canvas(1.0, 1.0, colour, 32.0)
@@ -239,7 +228,7 @@ def paint_car_part(paint: int, part: str) -> Texture:
         canvas.rect(0.36, 0.26, 0.64, 0.42, (226, 224, 210))
         if part == "front":
             canvas.rect(0.3, 0.5, 0.7, 0.74, (34, 34, 38))
-    return canvas.texture()
+    return canvas
 
 
 def car_faces(car: Thing) -> Faces:
@@ -252,12 +241,12 @@ def car_faces(car: Thing) -> Faces:
     nose = np.array([*car.where, 0.0]) + way * length / 2
     faces = Faces()
     rise = np.array([0, 0, 2.0])
-    faces.add(nose + left * CAR_WIDTH / 2, -way * length, rise, ("car", profile, paint), both=True)
-    faces.add(nose - left * CAR_WIDTH / 2, -way * length, rise, ("car", profile, paint), both=True)
+    faces.add(nose + left * CAR_WIDTH / 2, -way * length, rise, (paint_car, profile, paint), both=True)
+    faces.add(nose - left * CAR_WIDTH / 2, -way * length, rise, (paint_car, profile, paint), both=True)
     # From bumper to bumper; a saloon has a boot between its rear window and its rear.
     parts = ("front", "body", "glass", "body", "glass", "body" if profile == 1 else "rear", "rear")
     for part, start, stop in zip(parts, outline[:-1], outline[1:], strict=True):
         first, second = (nose - way * place + np.array([0, 0, up]) for place, up in (start, stop))
         corner = first - left * CAR_WIDTH / 2
-        faces.add(corner, left * CAR_WIDTH, second - first, ("car-part", paint, part), both=True)
+        faces.add(corner, left * CAR_WIDTH, second - first, (paint_car_part, paint, part), both=True)
     return faces
