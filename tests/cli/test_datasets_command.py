@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from salad.cli.datasets import Check, DatasetsCommand, List
+from salad.cli.datasets import CheckFolder, DatasetsCommand, ListProtocols
 from salad.datasets.protocols import PROTOCOLS
 from salad.errors import BenchmarkError
 
@@ -23,7 +23,7 @@ def sped(tmp_path: Path) -> Path:
 
 
 def test_every_protocol_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert DatasetsCommand(List()).run() == 0
+    assert DatasetsCommand(ListProtocols()).run() == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:3] == ["protocol", "references", "queries"]
     assert [line.split()[0] for line in lines[1:]] == list(PROTOCOLS)
@@ -32,7 +32,7 @@ def test_every_protocol_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert List(format="json").run() == 0
+    assert ListProtocols(format="json").run() == 0
     rows = {row["protocol"]: row for row in json.loads(capsys.readouterr().out)}
     assert set(rows) == set(PROTOCOLS)
     assert rows["msls-val-740"]["queries"] == 740
@@ -41,24 +41,24 @@ def test_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_folder_is_told(sped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert DatasetsCommand(Check(sped)).run() == 0
+    assert DatasetsCommand(CheckFolder(sped)).run() == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split()[:5] == ["sped", "yes", "drives", "607", "607"]
     assert any("expected 27,592 references, found 607" in line for line in lines)
 
 
 def test_a_folder_as_json(sped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert Check(sped, format="json").run() == 0
+    assert CheckFolder(sped, format="json").run() == 0
     first, *_ = json.loads(capsys.readouterr().out)
     assert (first["protocol"], first["fits"], first["missing"]) == ("sped", True, [])
 
 
 def test_nothing_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert Check(tmp_path).run() == 1
+    assert CheckFolder(tmp_path).run() == 1
     told = capsys.readouterr()
     assert "is in no layout known here" in told.err
     assert "gt.csv" in told.err
-    assert Check(tmp_path, format="json").run() == 1
+    assert CheckFolder(tmp_path, format="json").run() == 1
     assert json.loads(capsys.readouterr().out) == []
     with pytest.raises(BenchmarkError, match="no folder"):
-        Check(tmp_path / "absent").run()
+        CheckFolder(tmp_path / "absent").run()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salad.cli.evaluation_tables import compare_results, leaks_told
+from salad.cli.evaluation_tables import compare_results, leak_sentences
 from salad.errors import BenchmarkError
 from salad.evaluation.evaluate import CENTRED
 from salad.evaluation.leaks import Leak
@@ -233,7 +233,7 @@ def test_many_leaks_are_not_all_told(cli: Cli, asked: Any, sides: list[Any], tmp
     cli(*sides, "--frames", 0, "--save", tmp_path / "r.json")
     result = read_result(tmp_path / "r.json")
     leaks = tuple(Leak(0, row, "q", f"r{row}", "picture") for row in range(30))
-    told = leaks_told(replace(result, leaks=leaks))
+    told = leak_sentences(replace(result, leaks=leaks))
     assert (len(told), told[0], told[-1]) == (
         *(21, "q is the same picture as r0", "and 10 more photos that are in both sides"),
     )

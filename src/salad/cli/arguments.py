@@ -1,4 +1,4 @@
-"""Arguments that several commands share: their types, and their words in the help."""
+"""Arguments that several commands share: their types, their words in the help, and what they open."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from salad.errors import ModelError, SaladError
+from salad.errors import BenchmarkError, ModelError, SaladError
 
 if TYPE_CHECKING:
+    from salad.datasets.benchmark import Benchmark
+    from salad.images.photo import PhotoTable
     from salad.index.index import Index
     from salad.models.describer import DescriberLike
 
@@ -28,29 +30,48 @@ IndexFolder = Annotated[Positional[Path], arg(metavar="INDEX", help="The index: 
 # What each of these means where it is not given is said in words, not as "(default: None)".
 ModelName = Annotated[str | None, arg(metavar="NAME|DIR|FILE", help_behavior_hint="")]
 Table = Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="")]
+Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Number = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
 Metres = Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")]
+Degrees = Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")]
 Share = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")]
 File = Annotated[str | None, arg(metavar="FILE", help_behavior_hint="")]
 Format = Annotated[Literal["table", "json"], arg(help="For people or for programs.")]
 
 
 def positive(number: int, what: str) -> int:
-    """The number, which must be one.
+    """The number, if it is one or more.
 
     Raises:
-        SaladError: It is 0 or less.
+        SaladError: If it is 0 or less.
     """
     if number < 1:
         raise SaladError(f"{what} {number} is too few: give 1 or more")
     return number
 
 
-# --- How commands open an index, and which model they load for it ---
+def is_index(folder: Path) -> bool:
+    """Whether there is an index in a folder."""
+    from salad.index.index_folder import HEADER_FILE
+
+    return (folder / HEADER_FILE).exists()
+
+
+def open_or_create(folder: Path, model: DescriberLike) -> Index:
+    """The index in a folder, made for the model where there is none yet."""
+    from salad.index.index import Index
+
+    if is_index(folder):
+        return Index.open(folder)
+    return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
 
 
 def model_name_for(folder: Path) -> str:
-    """The name in the zoo of an index's model; where there is no index yet, of the model that ships."""
+    """The name in the zoo of an index's model; where there is no index yet, of the model that ships.
+
+    Raises:
+        ModelError: If the index was made with a model that is not in the zoo: nobody knows where its weights are.
+    """
     from salad.index.index import Index
     from salad.models.hub import ZOO
 
@@ -64,17 +85,65 @@ def model_name_for(folder: Path) -> str:
         )
 
 
-def open_or_create(folder: Path, model: DescriberLike) -> Index:
-    """The index in a folder, made for the model where there is none yet."""
-    from salad.index.index import Index
+def benchmark_of(
+    references: Path,
+    queries: Path,
+    *,
+    truth: Path | None,
+    frames: int | None,
+    radius: float | None,
+    heading: float | None = None,
+    table: Path | None = None,
+) -> Benchmark:
+    """Two folders, and exactly one rule for what is right.
 
-    if is_index(folder):
-        return Index.open(folder)
-    return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+    Args:
+        references: Photos whose places are known.
+        queries: Photos to recognise.
+        truth: A table of what is right.
+        frames: Right within so many frames.
+        radius: Right within so many metres.
+        heading: With `radius`, right only where both look the same way within so many degrees.
+        table: With `radius`, where photos were taken that do not say so themselves.
+
+    Raises:
+        BenchmarkError: If there is no rule or more than one, or the set cannot be read.
+        PositionError: If the table cannot be read, or names a photo that is not there.
+        PhotoError: If a folder is missing or holds no photo.
+    """
+    from salad.datasets import benchmark
+
+    rules = [rule for rule in (truth, frames, radius) if rule is not None]
+    if len(rules) != 1:
+        raise BenchmarkError(
+            f"{len(rules)} rules say what is right, but it takes one: --truth, --frames or --radius"
+        )
+    if radius is None and (heading is not None or table is not None):
+        option = "--table" if heading is None else "--heading"
+        raise BenchmarkError(
+            f"{option} says more about a radius, and there is none: give --radius, or leave it away"
+        )
+    if truth is not None:
+        return benchmark.from_truth(references, queries, truth)
+    if frames is not None:
+        return benchmark.from_frames(references, queries, frames)
+    assert radius is not None  # the one rule of the three that is left
+    positions = read_positions(table)
+    made = benchmark.from_radius(references, queries, radius, table=positions, heading=heading)
+    check_positions(positions, made)
+    return made
 
 
-def is_index(folder: Path) -> bool:
-    """Whether there is an index in a folder."""
-    from salad.index.index_folder import HEADER_FILE
+def read_positions(table: Path | None) -> PhotoTable | None:
+    """The table of positions, where one is named."""
+    from salad.images.photo import PhotoTable
 
-    return (folder / HEADER_FILE).exists()
+    return None if table is None else PhotoTable.read(table)
+
+
+def check_positions(positions: PhotoTable | None, benchmark: Benchmark) -> None:
+    """Make sure that every row of a table names a photo of the set, so that a misspelt one is noticed."""
+    if positions is not None:
+        positions.check_used(
+            photo.path for side in (benchmark.references, benchmark.queries) for photo in side
+        )

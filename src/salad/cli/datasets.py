@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class List:
+class ListProtocols:
     """List the protocols: their sets, how many photos, what is right, where to get them."""
 
     format: Format = "table"
@@ -26,26 +26,20 @@ class List:
         """List."""
         from salad.datasets.protocols import PROTOCOLS
 
-        rows = [_told(protocol) for protocol in PROTOCOLS.values()]
+        rows = [_described(protocol) for protocol in PROTOCOLS.values()]
         if self.format == "json":
             terminal.write_json(rows)
             return terminal.FOUND
         shown = (
-            "protocol",
-            "references",
-            "queries",
-            "right when",
-            "unanswerable",
-            "layouts",
-            "get",
-            "licence",
+            *("protocol", "references", "queries", "right when", "unanswerable"),
+            *("layouts", "get", "licence"),
         )
         terminal.write_table(_table(shown, (_cells(row, shown) for row in rows)))
         return terminal.FOUND
 
 
 @dataclass(frozen=True)
-class Check:
+class CheckFolder:
     """Say what a folder is: which layouts it is in, how many photos, which protocols fit and what is missing."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR", help="The folder of a data set.")]
@@ -64,7 +58,10 @@ class Check:
                 _table(shown, ([_cell(getattr(finding, name)) for name in shown] for finding in findings))
             )
         if not findings:
-            terminal.say(_nothing(self.folder))
+            from salad.datasets.protocols import LAYOUTS
+
+            known = "; ".join(f"{layout.name} ({layout.what})" for layout in LAYOUTS.values())
+            terminal.say(f"{self.folder} is in no layout known here: {known}")
         return terminal.FOUND if any(finding.fits for finding in findings) else terminal.NOTHING
 
 
@@ -72,14 +69,15 @@ class Check:
 class DatasetsCommand:
     """See which protocols there are, and what a folder is."""
 
-    command: Annotated[List, subcommand("list")] | Annotated[Check, subcommand("check")]
+    command: Annotated[ListProtocols, subcommand("list")] | Annotated[CheckFolder, subcommand("check")]
 
     def run(self) -> int:
         """Pass on."""
         return self.command.run()
 
 
-def _told(protocol: Protocol) -> dict[str, Any]:
+def _described(protocol: Protocol) -> dict[str, Any]:
+    """A protocol as JSON has it; people see the same but for `about`."""
     return {
         "protocol": protocol.name,
         "references": protocol.references,
@@ -95,17 +93,10 @@ def _told(protocol: Protocol) -> dict[str, Any]:
 
 def _cells(row: dict[str, Any], shown: Iterable[str]) -> list[str]:
     """A protocol's cells; a published number that is round says so."""
-    told = {name: _cell(row[name]) for name in shown}
+    cells = {name: _cell(row[name]) for name in shown}
     if row["about"]:
-        told["references"] = f"about {told['references']}"
-    return list(told.values())
-
-
-def _nothing(folder: Path) -> str:
-    from salad.datasets.protocols import LAYOUTS
-
-    known = "; ".join(f"{layout.name} ({layout.what})" for layout in LAYOUTS.values())
-    return f"{folder} is in no layout known here: {known}"
+        cells["references"] = f"about {cells['references']}"
+    return list(cells.values())
 
 
 def _table(names: Iterable[str], rows: Iterable[list[str]]) -> Any:
@@ -119,7 +110,7 @@ def _table(names: Iterable[str], rows: Iterable[list[str]]) -> Any:
 
 
 def _cell(value: Any) -> str:
-    if isinstance(value, bool):
+    if isinstance(value, bool):  # first, since a bool is an int as well
         return "yes" if value else "no"
     if isinstance(value, int):
         return f"{value:,}"

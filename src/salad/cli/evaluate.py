@@ -9,96 +9,36 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from salad.cli import evaluation_tables, terminal
-from salad.cli.arguments import SHIPPED, Format, Metres, Number, Table
+from salad.cli.arguments import (
+    SHIPPED,
+    Degrees,
+    Folder,
+    Format,
+    Metres,
+    Number,
+    Table,
+    benchmark_of,
+    check_positions,
+    read_positions,
+)
 from salad.errors import BenchmarkError
 
 if TYPE_CHECKING:
     from salad.datasets.benchmark import Benchmark
     from salad.evaluation.result import Result
-    from salad.images.photo import PhotoTable
     from salad.models.describer import DescriberLike
 
 
-# --- The benchmark that two folders and one rule make, for the commands that measure a model ---
-
-
-def benchmark_of(
-    references: Path,
-    queries: Path,
-    *,
-    truth: Path | None,
-    frames: int | None,
-    radius: float | None,
-    heading: float | None = None,
-    table: Path | None = None,
-) -> Benchmark:
-    """Two folders, and exactly one rule for what is right.
-
-    Args:
-        references: photos whose places are known.
-        queries: photos to recognise.
-        truth: a table of what is right.
-        frames: right within so many frames.
-        radius: right within so many metres.
-        heading: with `radius`, right only where both look the same way within so many degrees.
-        table: with `radius`, where photos were taken that do not say so themselves.
-
-    Raises:
-        BenchmarkError: there is no rule or more than one, or the set cannot be read.
-        PositionError: the table cannot be read, or names a photo that is not there.
-        PhotoError: a folder is missing or holds no photo.
-    """
-    from salad.datasets import benchmark
-
-    rules = [rule for rule in (truth, frames, radius) if rule is not None]
-    if len(rules) != 1:
-        raise BenchmarkError(
-            f"{len(rules)} rules say what is right, but it takes one: --truth, --frames or --radius"
-        )
-    if radius is None and (heading is not None or table is not None):
-        option = "--table" if heading is None else "--heading"
-        raise BenchmarkError(
-            f"{option} says more about a radius, and there is none: give --radius, or leave it away"
-        )
-    if truth is not None:
-        return benchmark.from_truth(references, queries, truth)
-    if frames is not None:
-        return benchmark.from_frames(references, queries, frames)
-    assert radius is not None
-    positions = positions_in(table)
-    made = benchmark.from_radius(references, queries, radius, table=positions, heading=heading)
-    check_positions(positions, made)
-    return made
-
-
-def positions_in(table: Path | None) -> PhotoTable | None:
-    """The table of positions, where there is one."""
-    from salad.images.photo import PhotoTable
-
-    return None if table is None else PhotoTable.read(table)
-
-
-def check_positions(positions: PhotoTable | None, benchmark: Benchmark) -> None:
-    """Make sure that every row of a table names a photo of the set, so that a misspelt one is noticed."""
-    if positions is not None:
-        positions.check_used(
-            photo.path for side in (benchmark.references, benchmark.queries) for photo in side
-        )
-
-
-Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Text = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
-Degrees = Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")]
 FilePath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 TwoFiles = Annotated[
     tuple[Path, Path] | None, arg(metavar="REFERENCES.npy QUERIES.npy", help_behavior_hint="")
 ]
-
 TwoNames = Annotated[
     tuple[Path, Path] | None, arg(metavar="REFERENCES.txt QUERIES.txt", help_behavior_hint="")
 ]
 
-_JUDGING = (  # what decides how a set is judged
+_JUDGING = (  # options that decide how a set is judged, and so come too late for a result that is saved
     *("truth", "frames", "radius", "heading", "table", "protocol", "data", "layout", "any_size"),
     *("descriptors", "rankings", "list_photos", "called", "cache", "leaks", "plain"),
 )
@@ -175,41 +115,35 @@ class EvaluateCommand:
         """Evaluate."""
         from salad.evaluation.evaluate import with_leaks
 
-        self._check()
+        self._refuse_early()
         if self.result is not None:
-            return self._shown(*self._saved(self.result))
-        benchmark = self._benchmark()
-        if self.list_photos is not None:
-            return self._listed(benchmark, *self.list_photos)
-        result, model = self._judged(benchmark)
-        if self.leaks:
-            result = with_leaks(result, benchmark)
-        return self._shown(result, model)
-
-    def _shown(self, result: Result, model: DescriberLike | None) -> int:
-        self._write(result)
-        if self.report is not None:
-            from salad.report.evaluation_page import write_report
-
-            for told in write_report(result, self.report, model):
-                terminal.say(told)
-            terminal.say(f"written to {self.report}")
-        for note in (*result.notes, *evaluation_tables.leaks_told(result)):
+            result, model = self._read_saved(self.result)
+        else:
+            benchmark = self._benchmark()
+            if self.list_photos is not None:
+                return self._write_lists(benchmark, *self.list_photos)
+            result, model = self._judge(benchmark)
+            if self.leaks:
+                result = with_leaks(result, benchmark)
+        # Files first: where the terminal goes away meanwhile, what took an hour is on the disk.
+        self._write_files(result, model)
+        for note in (*result.notes, *evaluation_tables.leak_sentences(result)):
             terminal.say(note)
         if self.format == "json":
             terminal.write_json(result.as_dict())
         else:
-            terminal.write_fields(evaluation_tables.facts(result))
+            terminal.write_fields(evaluation_tables.summary(result))
             terminal.write_table(evaluation_tables.figures(result))
         return terminal.FOUND
 
-    def _check(self) -> None:
+    def _refuse_early(self) -> None:
         """Refuse before any work what would come to nothing after it."""
+        outside = self.descriptors is not None or self.rankings is not None
         if self.descriptors is not None and self.rankings is not None:
             raise BenchmarkError("--descriptors and --rankings are two methods: judge one at a time")
-        if self.cache is not None and (self.descriptors is not None or self.rankings is not None):
+        if self.cache is not None and outside:
             raise BenchmarkError("--cache keeps what a model describes, and no model is asked: leave it away")
-        if self.plain and (self.descriptors is not None or self.rankings is not None):
+        if self.plain and outside:
             raise BenchmarkError("what comes from outside is compared as it is: leave --plain away")
         if self.heat and (self.result is None or self.report is None):
             raise BenchmarkError(
@@ -221,8 +155,9 @@ class EvaluateCommand:
                 raise BenchmarkError(f"{path} cannot be written: name a file in a folder that is there")
 
     def _benchmark(self) -> Benchmark:
+        """The set that the options name: a published one under its protocol, or two folders and a rule."""
         if self.protocol is not None:
-            return self._named(self.protocol)
+            return self._published(self.protocol)
         if self.data is not None:
             raise BenchmarkError(
                 f"--data {self.data} is a set of no protocol: name one with --protocol (salad datasets lists them)"
@@ -246,7 +181,7 @@ class EvaluateCommand:
             table=self.table,
         )
 
-    def _named(self, protocol: str) -> Benchmark:
+    def _published(self, protocol: str) -> Benchmark:
         from salad.datasets.protocols import read
 
         if (self.data is None) == (self.references is None):
@@ -254,10 +189,10 @@ class EvaluateCommand:
                 f"the set of {protocol} is one folder: name it with --data, or your own two with --references and "
                 "--queries"
             )
-        positions = positions_in(self.table)
+        positions = read_positions(self.table)
         made = read(
             protocol,
-            self.data or self.references or Path(),
+            self.data or self.references or Path(),  # one of the two is there: see above
             queries=self.queries,
             metres=self.radius,
             tolerance=self.frames,
@@ -270,12 +205,12 @@ class EvaluateCommand:
         check_positions(positions, made)
         return made
 
-    def _saved(self, path: Path) -> tuple[Result, DescriberLike | None]:
+    def _read_saved(self, path: Path) -> tuple[Result, DescriberLike | None]:
         """A result that was judged before, and the model it is of, where its heat maps are wanted."""
         from salad.evaluation.result import read_result
 
         for name in _JUDGING:
-            if getattr(self, name) not in (None, False):
+            if getattr(self, name) not in (None, False):  # what is not given is one of these, never 0 or ""
                 option = name.replace("_", "-")
                 raise BenchmarkError(
                     f"{path} is judged already, so --{option} changes nothing: leave it away"
@@ -283,9 +218,8 @@ class EvaluateCommand:
         result = read_result(path)
         references, queries = result.folders
         result = replace(result, folders=(str(self.references or references), str(self.queries or queries)))
-        return result, self._same(result) if self.heat else None
-
-    def _same(self, result: Result) -> DescriberLike:
+        if not self.heat:
+            return result, None
         from salad.models.model_folder import load
 
         model = load(self.model, device=self.device, heads=self.heads)
@@ -295,9 +229,10 @@ class EvaluateCommand:
                 f"({model.fingerprint}) would show what another threw away: name its own with --model, or leave "
                 "--heat away"
             )
-        return model
+        return result, model
 
-    def _judged(self, benchmark: Benchmark) -> tuple[Result, DescriberLike | None]:
+    def _judge(self, benchmark: Benchmark) -> tuple[Result, DescriberLike | None]:
+        """What a model, or what comes from outside, reaches on a set; and the model, where there is one."""
         from salad.evaluation.evaluate import EvalSettings, evaluate, evaluate_descriptors, evaluate_rankings
 
         settings = EvalSettings(seed=self.seed)
@@ -316,7 +251,7 @@ class EvaluateCommand:
             )
         return result, model
 
-    def _listed(self, benchmark: Benchmark, references: Path, queries: Path) -> int:
+    def _write_lists(self, benchmark: Benchmark, references: Path, queries: Path) -> int:
         from salad.evaluation.external import write_photos
 
         for photos, path in ((benchmark.references, references), (benchmark.queries, queries)):
@@ -324,7 +259,7 @@ class EvaluateCommand:
             terminal.say(f"{len(photos)} photos written to {path}")
         return terminal.FOUND
 
-    def _write(self, result: Result) -> None:
+    def _write_files(self, result: Result, model: DescriberLike | None) -> None:
         from salad.evaluation.external import write_rankings
         from salad.evaluation.result import write_csv, write_result
 
@@ -336,3 +271,9 @@ class EvaluateCommand:
             if path is not None:
                 write(result, path)
                 terminal.say(f"written to {path}")
+        if self.report is not None:
+            from salad.report.evaluation_page import write_report
+
+            for sentence in write_report(result, self.report, model):
+                terminal.say(sentence)
+            terminal.say(f"written to {self.report}")

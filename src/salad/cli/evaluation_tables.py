@@ -1,4 +1,4 @@
-"""Results as people read them: one result's figures with how sure they are, two results side by side."""
+"""An evaluation as people read it: its figures with how sure they are, and two of them side by side."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from salad.evaluation.significance import Difference
 
 
-_TOGETHER = {"query": "each query by itself", "group": "groups of queries", "block": "stretches of the drive"}
+# What the bootstrap draws, which decides how wide its intervals are: frames of one drive are not independent.
+_DRAWN = {"query": "each query by itself", "group": "groups of queries", "block": "stretches of the drive"}
 
 
-def facts(result: Result) -> dict[str, Any]:
+def summary(result: Result) -> dict[str, Any]:
     """What a reader must know before the figures."""
     rule = "left out" if result.unanswerable_rule == "drop" else "count as misses"
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "set": result.benchmark,
         "protocol": result.protocol,
         "queries": result.queries,
@@ -33,8 +34,8 @@ def facts(result: Result) -> dict[str, Any]:
         "seconds": f"{result.seconds:.1f}",
     }
     if result.leaks is not None:
-        told["in_both_sides"] = len(result.leaks)
-    return told
+        fields["in_both_sides"] = len(result.leaks)
+    return fields
 
 
 def figures(result: Result) -> Table:
@@ -42,78 +43,63 @@ def figures(result: Result) -> Table:
     from rich.table import Table
 
     drawn = result.drawn
-    together = _TOGETHER.get(str(drawn.get("by")), "")
+    units = _DRAWN.get(str(drawn.get("by")), "")
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("")
     table.add_column("", justify="right", no_wrap=True)
-    table.add_column(f"95 % ({drawn.get('units')}: {together})", justify="right", no_wrap=True)
-    for name, figure, interval in _rows(result):
-        table.add_row(name, figure, interval)
-    return table
-
-
-def _rows(result: Result) -> list[tuple[str, str, str]]:
-    rows = [
-        (f"R@{k}", f"{percent:.1f} %", _range(result.intervals[k])) for k, percent in result.recall.items()
-    ]
+    table.add_column(f"95 % ({drawn.get('units')}: {units})", justify="right", no_wrap=True)
+    for k, percent in result.recall.items():
+        table.add_row(f"R@{k}", f"{percent:.1f} %", _range(result.intervals[k]))
     if (curve := result.precision_recall) is not None:
-        rows += [
-            ("area under precision-recall", f"{curve.area:.1f} %", _range(curve.area_interval)),
-            (
-                "recall at 100 % precision",
-                f"{curve.recall_at_full_precision:.1f} %",
-                _range(curve.full_interval),
-            ),
-        ]
-    if (far := result.distances) is not None:
-        rows.append(("median error", f"{far.median:.1f} m", _range(far.median_interval)))
-        rows += [
-            (f"within {metres} m", f"{share:.1f} %", _range(far.within_intervals[metres]))
-            for metres, share in far.within.items()
-        ]
-    return rows
+        table.add_row("area under precision-recall", f"{curve.area:.1f} %", _range(curve.area_interval))
+        full = f"{curve.recall_at_full_precision:.1f} %"
+        table.add_row("recall at 100 % precision", full, _range(curve.full_interval))
+    if (distances := result.distances) is not None:
+        table.add_row("median error", f"{distances.median:.1f} m", _range(distances.median_interval))
+        for metres, percent in distances.within.items():
+            interval = distances.within_intervals[metres]
+            table.add_row(f"within {metres} m", f"{percent:.1f} %", _range(interval))
+    return table
 
 
 def _range(interval: Interval) -> str:
     return f"{interval.low:.1f} to {interval.high:.1f}"
 
 
-def leaks_told(result: Result) -> list[str]:
+def leak_sentences(result: Result) -> list[str]:
     """A sentence for each photo that is in both sides, the first of many."""
-    told = [
-        f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}" for leak in result.leaks or ()
-    ]
-    return terminal.first_few(told, what="photos that are in both sides")
+    leaks = result.leaks or ()
+    sentences = [f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}" for leak in leaks]
+    return terminal.first_few(sentences, what="photos that are in both sides")
 
 
 def compare_results(first: Path, other: Path, *, form: Format = "table", seed: int = 0) -> int:
     """Say how two results of `salad evaluate --save` differ, and whether that is more than chance.
 
     Args:
-        first: one result's file.
-        other: the other's; what it got more right counts up.
-        form: for people or for programs.
-        seed: of the draws.
+        first: One result's file.
+        other: The other's; what it got more right counts up.
+        form: For people or for programs.
+        seed: Of the draws.
 
     Returns:
         The exit code.
 
     Raises:
-        BenchmarkError: a file is no result, or they are not of one set under one protocol.
+        BenchmarkError: If a file is no result, or they are not of one set under one protocol.
     """
     from salad.evaluation.result import read_result
     from salad.evaluation.significance import differences
 
     one, two = read_result(first), read_result(other)
     found = differences(one, two, seed=seed)
+    compared = {"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model}
     if form == "json":
-        told = {"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model}
-        terminal.write_json(told | {"recall": {str(each.k): each.as_dict() for each in found}})
+        terminal.write_json(compared | {"recall": {str(each.k): each.as_dict() for each in found}})
         return terminal.FOUND
-    terminal.write_fields(
-        {"set": one.benchmark, "protocol": one.protocol, "first": one.model, "other": two.model}
-    )
+    terminal.write_fields(compared)
     terminal.write_table(_side_by_side(found))
+    # Which queries changed sides at R@1: there is no better lead to why.
     for name, queries in (("won", found[0].won), ("lost", found[0].lost)):
         for line in terminal.first_few([f"{name}: {query}" for query in queries], what=f"queries {name}"):
             terminal.write(line)

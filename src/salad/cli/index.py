@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from salad.cli import terminal
-from salad.cli.arguments import ModelName, Photos, Table, is_index, model_name_for, open_or_create, positive
+from salad.cli.arguments import (
+    ModelName,
+    Photos,
+    Table,
+    is_index,
+    model_name_for,
+    open_or_create,
+    positive,
+    read_positions,
+)
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
@@ -50,16 +59,16 @@ class IndexCommand:
 
     def run(self) -> int:
         """Index the photos."""
-        from salad.images.photo import PhotoTable, find_photos
+        from salad.images.photo import find_photos
 
         if self.from_ is not None:
             return self._take(self.from_)
         from salad.models.model_folder import load
 
         positive(self.batch_size, "--batch-size")
-        sources = list(terminal.expand_stdin(self.photos))
+        sources = list(terminal.expand_stdin(self.photos))  # kept: stdin can be read but once
         paths = find_photos(sources)
-        table = PhotoTable.read(self.table) if self.table else None
+        table = read_positions(self.table)
         model = load(self.model or model_name_for(self.to), device=self.device)
         with open_or_create(self.to, model) as index:
             done = self._describe(paths, index, model, table)
@@ -76,7 +85,7 @@ class IndexCommand:
     ) -> Indexed:
         from salad.index.build import index_photos
 
-        far = 0
+        far = 0  # how far it came is told where it is stopped, since that much is in the index
         with terminal.progress("indexing") as bar:
 
             def report(done: int, total: int) -> None:
@@ -95,7 +104,7 @@ class IndexCommand:
 
     def _vanished(self, index: Index, folders: Sequence[str]) -> list[str]:
         """A sentence for each photo of these folders whose file is gone; forgotten where that is asked for."""
-        if not folders:
+        if not folders:  # only who names a folder says that its photos are all there are in it
             return []
         gone = index.remove_missing(folders) if self.prune else index.missing(folders)
         fate = "it was dropped" if self.prune else "--prune drops it from the index"
@@ -111,7 +120,7 @@ class IndexCommand:
             raise SaladError(
                 "--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune"
             )
-        made = not is_index(self.to)
+        made = not is_index(self.to)  # then an error leaves nothing behind: see below
         if made:
             source = source_of(folder, name=self.model)
             Index.create(self.to, dim=source.dim, fingerprint=source.fingerprint, model=source.model).close()

@@ -1,4 +1,4 @@
-"""The commands that tend an index: `salad info`, `verify`, `remove`, `compact`, `export` and `merge`."""
+"""The commands of an index that is there: `salad info`, `verify`, `remove`, `compact`, `export` and `merge`."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class InfoCommand:
         from salad.index.index import Index
 
         with Index.open(self.index) as index:
-            told = index.info().as_dict()
+            known = index.info().as_dict()
         if self.format == "json":
-            terminal.write_json(told)
+            terminal.write_json(known)
         else:
-            terminal.write_fields(_for_people(told))
+            terminal.write_fields(dict(_with_units(name, value) for name, value in known.items()))
         return terminal.FOUND
 
 
@@ -49,10 +49,20 @@ class VerifyCommand:
 
     def run(self) -> int:
         """Check."""
+        from salad.index.index import Index
         from salad.index.index_folder import Header
 
         Header.read(self.index)  # what is no index, or a later salad's, is not ours to judge
-        wrong, gone, held = _examined(self.index)
+        wrong: list[str] = []
+        gone: list[Path] = []
+        held = 0
+        try:
+            with Index.open(self.index) as index:
+                wrong = index.verify()
+                gone, held = index.missing(), len(index)
+        except StoreError as error:  # that it cannot be opened, or listed, is what was asked for
+            if str(error) not in wrong:
+                wrong.append(str(error))
         for sentence in wrong:
             terminal.write(sentence)
         lost = [f"{path} is gone; its descriptor stays until it is removed" for path in gone]
@@ -136,26 +146,22 @@ class MergeCommand:
     def run(self) -> int:
         """Merge."""
         from salad.index.index import Index
+        from salad.index.transfer import merge
 
         if not self.others:
             raise StoreError("no other index is named: say which indexes to take photos from")
         with Index.open(self.index) as into:
             for folder in self.others:
-                _merge_one(into, folder)
+                with Index.open(folder) as other:
+                    done = merge(into, other)
+                for path in done.other:  # a path names one photo, so ours stays
+                    terminal.say(
+                        f"{path} was left out of {folder}: {self.index} has another photo at that path"
+                    )
+                _say_damaged(done.damaged)
+                terminal.say(f"{folder}: {done.added} photos added, {done.held} there already")
             terminal.say(f"{self.index}: it holds {len(into)} photos")
         return terminal.FOUND
-
-
-def _merge_one(into: Any, folder: Path) -> None:
-    from salad.index.index import Index
-    from salad.index.transfer import merge
-
-    with Index.open(folder) as other:
-        done = merge(into, other)
-    for path in done.other:
-        terminal.say(f"{path} was left out of {folder}: {into.folder} has another photo at that path")
-    _say_damaged(done.damaged)
-    terminal.say(f"{folder}: {done.added} photos added, {done.held} there already")
 
 
 def _say_damaged(paths: Sequence[Path]) -> None:
@@ -163,30 +169,12 @@ def _say_damaged(paths: Sequence[Path]) -> None:
         terminal.say(f"{path} was left out, since its descriptor is damaged: index it again")
 
 
-def _examined(folder: Path) -> tuple[list[str], list[Path], int]:
-    """What is wrong with an index, the photos whose files are gone, and how many photos there are."""
-    from salad.index.index import Index
-
-    wrong: list[str] = []
-    try:
-        with Index.open(folder) as index:
-            wrong += index.verify()
-            return wrong, index.missing(), len(index)
-    except StoreError as error:  # that it cannot be opened, or listed, is what was asked for
-        sentence = str(error)
-        return wrong + [sentence] * (sentence not in wrong), [], 0
-
-
-def _for_people(told: dict[str, Any]) -> dict[str, Any]:
-    """The facts with their units in their names."""
+def _with_units(name: str, value: Any) -> tuple[str, Any]:
+    """A fact for people: JSON keys are short and their units are in the docs, here they stand in the name."""
     names = {
         "box": "south, west, north, east",
         "span_km": "km from south to north, west to east",
         "bytes": "MB",
         "bytes_of_descriptors": "MB of descriptors",
     }
-    return {names.get(name, name): _in_units(name, value) for name, value in told.items()}
-
-
-def _in_units(name: str, value: Any) -> Any:
-    return round(value / _MEGA, 3) if name.startswith("bytes") else value
+    return names.get(name, name), round(value / _MEGA, 3) if name.startswith("bytes") else value

@@ -1,4 +1,7 @@
-"""`salad locate`: where photos were taken."""
+"""`salad locate`: where photos were taken.
+
+options ──> matches and places ──> a table, JSON, GeoJSON, CSV or KML on stdout ──> copies with EXIF, a GPX track
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from salad.cli import terminal
-from salad.cli.arguments import ModelName, Photos, model_name_for, positive
+from salad.cli.arguments import Degrees, Folder, ModelName, Photos, model_name_for, positive
 from salad.errors import PhotoError, SaladError
 from salad.files import write_whole
 from salad.geo import GeoPoint
@@ -29,17 +32,15 @@ if TYPE_CHECKING:
     from salad.search.filters import Filter
 
 
-# --- Options that say which photos of an index may be found ---
-
-
 Around = Annotated[str | None, arg(metavar="LAT,LON", help_behavior_hint="")]
 Box = Annotated[str | None, arg(metavar="SOUTH,WEST,NORTH,EAST", help_behavior_hint="")]
 Moment = Annotated[str | None, arg(metavar="DATE", help_behavior_hint="")]
-Degrees = Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")]
+Confidence = Annotated[float | None, arg(metavar="0..1", help_behavior_hint="")]
+Track = Annotated[Path | None, arg(metavar="FILE.gpx", help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
-class Only:
+class FilterOptions:
     """Look only at photos of the index that keep to all of these."""
 
     near: Around = None
@@ -61,14 +62,14 @@ class Only:
         """The same for a search; None where every photo may be found.
 
         Raises:
-            SaladError: A value makes no sense.
+            SaladError: If a value makes no sense.
         """
         if all(value is None for value in (self.near, self.box, self.since, self.until, self.heading)):
-            return None
+            return None  # the distances alone filter nothing: a search without a filter is the faster one
         from salad.search.filters import Filter
 
-        near = None if self.near is None else _numbers(self.near, 2, "--near", "LAT,LON")
-        box = None if self.box is None else _numbers(self.box, 4, "--box", "SOUTH,WEST,NORTH,EAST")
+        near = None if self.near is None else _degrees_in(self.near, 2, "--near", "LAT,LON")
+        box = None if self.box is None else _degrees_in(self.box, 4, "--box", "SOUTH,WEST,NORTH,EAST")
         return Filter(
             box=None if box is None else (box[0], box[1], box[2], box[3]),
             near=None if near is None else GeoPoint(*near),
@@ -80,11 +81,11 @@ class Only:
         )
 
 
-def _numbers(text: str, count: int, option: str, form: str) -> list[float]:
+def _degrees_in(text: str, count: int, option: str, form: str) -> list[float]:
     try:
         found = [float(part) for part in text.split(",")]
     except ValueError:
-        found = []
+        found = []  # refused below, as too few and too many are
     if len(found) != count:
         raise SaladError(f"{option} {text} cannot be read: write {form}, in degrees")
     return found
@@ -98,139 +99,8 @@ def _moment(text: str | None, option: str, *, to_its_end: bool = False) -> datet
     except ValueError as error:
         raise SaladError(f"{option} {text} is no date: write 2024-05-01, or 2024-05-01T12:00") from error
     day_alone = len(text) <= len("2024-05-01")
+    # `--until 2024-05-01` means with all of that day, or the photos of its afternoon would be lost.
     return moment + timedelta(days=1, microseconds=-1) if to_its_end and day_alone else moment
-
-
-# --- Files that `salad locate` writes beside its answer: copies with their position, and a track ---
-
-
-def check_folder(folder: Path, photos: Sequence[Path]) -> None:
-    """Make sure, before any work, that copies in `folder` cannot lie among the photos they are made of.
-
-    Raises:
-        SaladError: It is the folder of one of the photos, or no folder.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise SaladError(f"--write-exif {folder} is a file: name a folder")
-    home = os.path.realpath(folder)
-    for photo in photos:
-        if os.path.realpath(photo.parent) == home or os.path.dirname(os.path.realpath(photo)) == home:  # noqa: PTH120  # realpath's
-            raise SaladError(
-                f"--write-exif {folder} is the folder of {photo.name}, and originals are never touched: "
-                "name another folder"
-            )
-
-
-def check_track(track: Path) -> None:
-    """Make sure, before any work, that a track can be written and takes no photo's place.
-
-    Raises:
-        SaladError: Its name does not end in .gpx, or there is no folder for it.
-    """
-    if track.suffix.lower() != ".gpx":
-        raise SaladError(f"--gpx {track} is no name for a track: end it in .gpx")
-    if track.is_dir() or not track.parent.is_dir():
-        raise SaladError(f"--gpx {track} cannot be written: name a file in a folder that is there")
-
-
-def write_copies(folder: Path, answers: Sequence[Answer]) -> None:
-    """Copy each photo that was located into `folder` with its position; say what could not be copied."""
-    from salad.images.metadata import copy_with_position
-
-    folder.mkdir(parents=True, exist_ok=True)
-    written = 0
-    for answer in answers:
-        if answer.place is None:
-            continue
-        place, copy = answer.place, folder / answer.query.name
-        try:
-            copy_with_position(answer.query, copy, place.where, within_m=place.radius_m)
-            written += 1
-        except PhotoError as error:
-            terminal.say(str(error))
-    terminal.say(f"{folder}: {written} copies written, with their position")
-
-
-def write_track(track: Path, answers: Sequence[Answer]) -> None:
-    """Write the places found as a GPX track, whole or not at all; one of that name is replaced.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
-    from salad.images.photo import read_photo
-
-    times = [read_photo(answer.query).time for answer in answers]
-    undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
-    if undated:
-        terminal.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")
-    write_whole(track, maps.as_gpx(answers, times).encode())
-
-
-# --- What `salad locate` writes: a table for people, JSON for programs, CSV for spreadsheets; maps are in `maps` ---
-
-
-COLUMNS = ("query", "lat", "lon", "radius_m", "confidence", "support", "best_match", "best_score")
-
-
-def as_json(answers: Sequence[Answer]) -> str:
-    """One object a query."""
-    return json.dumps([answer.as_dict() for answer in answers], ensure_ascii=False, indent=2)
-
-
-def as_csv(answers: Sequence[Answer]) -> str:
-    """One line a query; an unknown place leaves its fields empty."""
-    lines = [csv_line(COLUMNS)]
-    for answer in answers:
-        place, best = answer.place, answer.matches[0] if answer.matches else None
-        found: list[Any] = [""] * 5
-        if place:
-            found = [*_degrees(place), f"{place.radius_m:.1f}", f"{place.confidence:.3f}", place.support]
-        matched = [best.photo.path, f"{best.score:.4f}"] if best else ["", ""]
-        lines.append(csv_line([answer.query, *found, *matched]))
-    return "".join(lines).removesuffix("\n")
-
-
-def as_table(answers: Sequence[Answer]) -> Table:
-    """One line a query, for a terminal."""
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("photo")  # where room is short, names give way to the place
-    table.add_column("place", no_wrap=True)
-    table.add_column("within", justify="right", no_wrap=True)
-    table.add_column("confidence", justify="right", no_wrap=True)
-    table.add_column("looks like")
-    for answer in answers:
-        place, best = answer.place, answer.matches[0] if answer.matches else None
-        cells = ("unknown", "", "")
-        if place:
-            cells = (", ".join(_degrees(place)), f"{place.radius_m:.0f} m", f"{place.confidence:.2f}")
-        like = f"{best.photo.path.name} ({best.score:.2f})" if best else "no match"
-        table.add_row(_cell(answer.query.name), *cells, _cell(like))
-    return table
-
-
-def _cell(name: str) -> Text:
-    """A name as it is, brackets and all, but for what a terminal would obey or cannot show."""
-    from rich.text import Text
-
-    shown = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
-    return Text(shown, no_wrap=True, overflow="ellipsis")
-
-
-def _degrees(place: Place) -> list[str]:
-    return [f"{place.where.lat:.6f}", f"{place.where.lon:.6f}"]  # 0.1 m
-
-
-Sure = Annotated[float | None, arg(metavar="0..1", help_behavior_hint="")]
-Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
-Track = Annotated[Path | None, arg(metavar="FILE.gpx", help_behavior_hint="")]
-WRITERS: dict[str, Callable[[Sequence[Answer]], str]] = {
-    "json": as_json,
-    "geojson": maps.as_geojson,
-    "csv": as_csv,
-    "kml": maps.as_kml,
-}
 
 
 @dataclass(frozen=True)
@@ -244,11 +114,11 @@ class LocateCommand:
     """How many matches vote."""
     format: Literal["table", "json", "geojson", "csv", "kml"] = "table"
     """For people, programs, maps, spreadsheets or globes."""
-    min_confidence: Sure = None
+    min_confidence: Confidence = None
     """A place less sure than this is unknown; by default the model's own limit."""
     radius: Annotated[float, arg(metavar="METRES")] = 25.0
     """How far apart matches may be and still mean one place."""
-    only: Only = field(default_factory=Only)
+    only: FilterOptions = field(default_factory=FilterOptions)
     write_exif: Folder = None
     """Put a copy of each JPEG that was located into this folder, its position in the copy's EXIF."""
     gpx: Track = None
@@ -262,28 +132,34 @@ class LocateCommand:
         """Locate the photos."""
         from salad.images.photo import find_photos
 
-        self._check()
-        paths = find_photos(self.photos)
-        if self.write_exif:
-            check_folder(self.write_exif, paths)
-        if self.gpx:
-            check_track(self.gpx)
-        answers, unreadable = self._located(paths)
-        for sentence in unreadable:
-            terminal.say(sentence)
-        self._put(answers)
-        if any(answer.place for answer in answers):
-            return terminal.FOUND
-        return terminal.NOTHING if answers else terminal.BAD_INPUT
-
-    def _check(self) -> None:
+        # Whatever can be refused is refused now: a drive may take an hour to locate.
         positive(self.k, "-k")
         if self.min_confidence is not None and not 0 <= self.min_confidence <= 1:
             raise SaladError(f"--min-confidence {self.min_confidence} is not between 0 and 1")
         if not 0 < self.radius <= 1e6:
             raise SaladError(f"--radius {self.radius} makes no place: give metres, above 0")
+        paths = find_photos(self.photos)
+        if self.write_exif:
+            check_folder(self.write_exif, paths)
+        if self.gpx:
+            check_track(self.gpx)
 
-    def _located(self, paths: list[Path]) -> tuple[list[Answer], list[str]]:
+        answers, unreadable = self._locate(paths)
+        for sentence in unreadable:
+            terminal.say(sentence)
+        if self.format == "table":
+            terminal.write_table(as_table(answers))
+        else:
+            terminal.write(WRITERS[self.format](answers))
+        if self.write_exif:
+            write_copies(self.write_exif, answers)
+        if self.gpx:
+            write_track(self.gpx, answers)
+        if any(answer.place for answer in answers):
+            return terminal.FOUND
+        return terminal.NOTHING if answers else terminal.BAD_INPUT
+
+    def _locate(self, paths: list[Path]) -> tuple[list[Answer], list[str]]:
         """An answer for each photo that can be read, a sentence for each other."""
         from salad.index.index import Index
         from salad.localize.locate import locate_many
@@ -309,12 +185,130 @@ class LocateCommand:
                 bar(len(answers) + len(unreadable), len(paths))
         return answers, unreadable
 
-    def _put(self, answers: list[Answer]) -> None:
-        if self.format == "table":
-            terminal.write_table(as_table(answers))
-        else:
-            terminal.write(WRITERS[self.format](answers))
-        if self.write_exif:
-            write_copies(self.write_exif, answers)
-        if self.gpx:
-            write_track(self.gpx, answers)
+
+# What is written to stdout, by --format; maps have a file of their own.
+
+
+def as_json(answers: Sequence[Answer]) -> str:
+    """One object a query."""
+    return json.dumps([answer.as_dict() for answer in answers], ensure_ascii=False, indent=2)
+
+
+def as_csv(answers: Sequence[Answer]) -> str:
+    """One line a query; an unknown place leaves its fields empty."""
+    columns = ("query", "lat", "lon", "radius_m", "confidence", "support", "best_match", "best_score")
+    lines = [csv_line(columns)]
+    for answer in answers:
+        place, best = answer.place, answer.matches[0] if answer.matches else None
+        found: list[Any] = [""] * 5
+        if place:
+            found = [*_degrees(place), f"{place.radius_m:.1f}", f"{place.confidence:.3f}", place.support]
+        matched = [best.photo.path, f"{best.score:.4f}"] if best else ["", ""]
+        lines.append(csv_line([answer.query, *found, *matched]))
+    return "".join(lines).removesuffix("\n")  # `terminal.write` ends the last one
+
+
+def as_table(answers: Sequence[Answer]) -> Table:
+    """One line a query, for a terminal."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("photo")  # where room is short, names give way to the place
+    table.add_column("place", no_wrap=True)
+    table.add_column("within", justify="right", no_wrap=True)
+    table.add_column("confidence", justify="right", no_wrap=True)
+    table.add_column("looks like")
+    for answer in answers:
+        place, best = answer.place, answer.matches[0] if answer.matches else None
+        cells = ("unknown", "", "")
+        if place:
+            cells = (", ".join(_degrees(place)), f"{place.radius_m:.0f} m", f"{place.confidence:.2f}")
+        like = f"{best.photo.path.name} ({best.score:.2f})" if best else "no match"
+        table.add_row(_cell(answer.query.name), *cells, _cell(like))
+    return table
+
+
+def _degrees(place: Place) -> list[str]:
+    return [f"{place.where.lat:.6f}", f"{place.where.lon:.6f}"]  # 0.1 m
+
+
+def _cell(name: str) -> Text:
+    """A name as it is, brackets and all, but for what a terminal would obey or cannot show."""
+    from rich.text import Text
+
+    shown = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
+    return Text(shown, no_wrap=True, overflow="ellipsis")
+
+
+WRITERS: dict[str, Callable[[Sequence[Answer]], str]] = {
+    "json": as_json,
+    "geojson": maps.as_geojson,
+    "csv": as_csv,
+    "kml": maps.as_kml,
+}
+
+
+# What is written beside it: copies of the photos with their position, and a track.
+
+
+def check_folder(folder: Path, photos: Sequence[Path]) -> None:
+    """Make sure, before any work, that copies in `folder` cannot lie among the photos they are made of.
+
+    Raises:
+        SaladError: If it is the folder of one of the photos, or a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise SaladError(f"--write-exif {folder} is a file: name a folder")
+    home = os.path.realpath(folder)
+    for photo in photos:
+        # A link counts where it lies and where its photo does: a copy would replace the one or the other.
+        if os.path.realpath(photo.parent) == home or os.path.dirname(os.path.realpath(photo)) == home:  # noqa: PTH120  # realpath's
+            raise SaladError(
+                f"--write-exif {folder} is the folder of {photo.name}, and originals are never touched: "
+                "name another folder"
+            )
+
+
+def check_track(track: Path) -> None:
+    """Make sure, before any work, that a track can be written and takes no photo's place.
+
+    Raises:
+        SaladError: If its name does not end in .gpx, or there is no folder for it.
+    """
+    if track.suffix.lower() != ".gpx":  # so that `--gpx photo.jpg`, a slip, costs nobody a photo
+        raise SaladError(f"--gpx {track} is no name for a track: end it in .gpx")
+    if track.is_dir() or not track.parent.is_dir():
+        raise SaladError(f"--gpx {track} cannot be written: name a file in a folder that is there")
+
+
+def write_copies(folder: Path, answers: Sequence[Answer]) -> None:
+    """Copy each photo that was located into `folder` with its position; say what could not be copied."""
+    from salad.images.metadata import copy_with_position
+
+    folder.mkdir(parents=True, exist_ok=True)
+    written = 0
+    for answer in answers:
+        if answer.place is None:
+            continue
+        place, copy = answer.place, folder / answer.query.name
+        try:
+            copy_with_position(answer.query, copy, place.where, within_m=place.radius_m)
+            written += 1
+        except PhotoError as error:  # one that is no JPEG, say: the others are copied all the same
+            terminal.say(str(error))
+    terminal.say(f"{folder}: {written} copies written, with their position")
+
+
+def write_track(track: Path, answers: Sequence[Answer]) -> None:
+    """Write the places found as a GPX track, all of it or nothing; one of that name is replaced.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    from salad.images.photo import read_photo
+
+    times = [read_photo(answer.query).time for answer in answers]
+    undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
+    if undated:
+        terminal.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")
+    write_whole(track, maps.as_gpx(answers, times).encode())

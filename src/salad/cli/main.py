@@ -26,7 +26,7 @@ from salad.cli import (
 )
 from salad.errors import SaladError
 
-COMMANDS: dict[str, Any] = {
+COMMANDS: dict[str, Any] = {  # in the order of `salad --help`
     "index": index.IndexCommand,
     "locate": locate.LocateCommand,
     "info": index_maintenance.InfoCommand,
@@ -56,7 +56,14 @@ def run(arguments: Sequence[str]) -> int:
     if list(arguments) == ["--version"]:
         terminal.write(f"salad {__version__}")
         return terminal.FOUND
-    command = _parsed(list(arguments))
+    command = tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
+        prog="salad",
+        description="A photo goes in; the place it shows comes out.",
+        args=list(arguments),
+        # A field of a field, and what a subcommand is called, need no prefix: `--near`, not `--only.near`.
+        config=(OmitArgPrefixes, OmitSubcommandPrefixes),
+    )
     try:
         code: int = command.run()
     except SaladError as error:
@@ -67,20 +74,11 @@ def run(arguments: Sequence[str]) -> int:
             "salad: interrupted; index, train, compare and weights fetch go on where they stopped when run again"
         )
         return terminal.INTERRUPTED
-    except BrokenPipeError:  # whoever read our output has seen enough
+    except BrokenPipeError:  # whoever read our output has seen enough: `salad locate ... | head`
+        # Python writes out stdout once more as it leaves, and would complain of the pipe again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return terminal.FOUND
     except OSError as error:  # a full disk, a folder that may not be read
         terminal.say(f"salad: {error}")
         return terminal.BAD_INPUT
     return code
-
-
-def _parsed(arguments: list[str]) -> Any:
-    return tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="salad",
-        description="A photo goes in; the place it shows comes out.",
-        args=arguments,
-        config=(OmitArgPrefixes, OmitSubcommandPrefixes),
-    )

@@ -5,24 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
 from salad.cli import terminal
-from salad.cli.arguments import Format, Photos, Table
+from salad.cli.arguments import Format, Photos, Table, read_positions
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
     from salad.datasets.cluster import Clustering, Reason
-    from salad.images.photo import Photo, PhotoTable
+    from salad.images.photo import Photo
 
 
 Metres = Annotated[float, arg(metavar="METRES")]
 Degrees = Annotated[float, arg(metavar="DEGREES")]
 Count = Annotated[int, arg(metavar="N")]
 
-_ADVICE: dict[Reason, str] = {
+_SIDE = 64  # pixels a photo is decoded to: it is read to its end for that, and yet takes little time
+_ADVICE: dict[Reason, str] = {  # by what most photos were left out for
     "no position": "Name a table that has their positions with --table.",
     "unreadable": "Fetch them again, or save them as JPEG.",
     "too few in their cell": "Take larger cells (--cell), a wider --turn, or fewer photos of each (--fewest).",
@@ -56,24 +57,25 @@ class PlacesCommand:
         from salad.datasets.cluster import find_cells
         from salad.datasets.places import write_places
 
-        self._check_target()
+        if self.to.is_dir() or not self.to.parent.is_dir():  # said before the work, not after it
+            raise SaladError(f"--to {self.to} cannot be written: name a file in a folder that is there")
         found = find_cells(
-            self._known(),
+            self._read_photos(),
             side_m=self.cell,
             turn=self.turn,
             fewest=self.fewest,
             apart_m=self.apart,
-            unreadable=_unreadable if self.check else None,
+            unreadable=_find_unreadable if self.check else None,
         )
         if found.places:
             write_places(found.places, self.to)
-        self._tell(found)
+        self._report(found)
         return terminal.FOUND if found.places else terminal.NOTHING
 
-    def _known(self) -> list[Photo]:
+    def _read_photos(self) -> list[Photo]:
         """All photos with where, which way and when they were taken."""
         from salad.datasets.readers.gsv_cities import is_gsv_cities
-        from salad.images.photo import PhotoTable, find_photos, read_photo
+        from salad.images.photo import find_photos, read_photo
         from salad.images.workers import Workers
 
         names = list(terminal.expand_stdin(self.photos))
@@ -84,29 +86,24 @@ class PlacesCommand:
                 f"`salad train --data {known}`, or name a table of positions with --table to find others"
             )
         paths = find_photos(names)
-        table: PhotoTable | None = PhotoTable.read(self.table) if self.table else None
+        table = read_positions(self.table)
         photos: list[Photo] = []
-        with (
-            Workers(0) as workers,
-            terminal.progress("looking") as bar,
-        ):  # in this process: no pixel is decoded
+        # In this process: no pixel is decoded, so no photo can take the run along.
+        with Workers(0) as workers, terminal.progress("looking") as bar:
             for photo in workers.in_order(lambda path: read_photo(path, table), paths, ahead=64):
                 photos.append(photo)
                 bar(len(photos), len(paths))
         return photos
 
-    def _check_target(self) -> None:
-        if self.to.is_dir() or not self.to.parent.is_dir():
-            raise SaladError(f"--to {self.to} cannot be written: name a file in a folder that is there")
-
-    def _tell(self, found: Clustering) -> None:
+    def _report(self, found: Clustering) -> None:
         for sentence in terminal.first_few(found.trouble, what="cannot be read"):
             terminal.say(sentence)
-        told = found.as_dict()
+        counts = found.as_dict()
         if self.format == "json":
-            terminal.write_json({"table": str(self.to) if found.places else None} | told)
+            terminal.write_json({"table": str(self.to) if found.places else None} | counts)
             return
-        rows = _rows(told)
+        rows = [(name, value) for name, value in counts.items() if name != "left_out"]
+        rows += [(f"left out, {reason}", count) for reason, count in counts["left_out"].items() if count]
         wide = max(len(name) for name, _ in rows)
         for name, value in rows:
             terminal.say(f"{name:<{wide}}  {value}")
@@ -117,13 +114,7 @@ class PlacesCommand:
         terminal.say(f"no place was found, so nothing is written; most photos: {most}. {_ADVICE[most]}")
 
 
-def _rows(told: dict[str, Any]) -> list[tuple[str, Any]]:
-    """The report as names and values, for people."""
-    plain = [(name, value) for name, value in told.items() if name != "left_out"]
-    return plain + [(f"left out, {reason}", count) for reason, count in told["left_out"].items() if count]
-
-
-def _unreadable(paths: Sequence[Path]) -> dict[Path, str]:
+def _find_unreadable(paths: Sequence[Path]) -> dict[Path, str]:
     """A sentence for each photo whose pixels cannot be read."""
     from salad.images.workers import Workers
 
@@ -132,7 +123,7 @@ def _unreadable(paths: Sequence[Path]) -> dict[Path, str]:
 
         def tried(path: Path) -> str:
             try:
-                workers.decode(path, _SMALL, _SMALL, "bilinear")
+                workers.decode(path, _SIDE, _SIDE, "bilinear")
             except SaladError as error:
                 return str(error)
             return ""
@@ -144,6 +135,3 @@ def _unreadable(paths: Sequence[Path]) -> dict[Path, str]:
                 trouble[path] = sentence
             bar(done, len(paths))
     return trouble
-
-
-_SMALL = 64  # pixels: enough to decode all of a file, quickly

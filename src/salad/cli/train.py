@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from salad.cli import terminal
-from salad.cli.arguments import SHIPPED, File, Metres, Number, Share, Table, positive
-from salad.cli.evaluate import benchmark_of
+from salad.cli.arguments import SHIPPED, File, Folder, Metres, Number, Share, Table, benchmark_of, positive
 from salad.errors import BenchmarkError, SaladError
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from salad.training.validation import Judge
 
 
-Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Rate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
 Augment = Annotated[
     Literal["lite", "paper", "robust", "none"] | None, arg(help_behavior_hint="", metavar="NAME")

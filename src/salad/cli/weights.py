@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg, subcommand
 
 from salad.cli import terminal
-from salad.cli.arguments import Format, ModelName, Number, positive
+from salad.cli.arguments import Format, ModelName, Number, model_name_for, positive
 from salad.errors import WeightsError
 
 Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")]
 
 
 @dataclass(frozen=True)
-class List:
+class ListModels:
     """List the models of the zoo."""
 
     format: Format = "table"
@@ -41,25 +41,23 @@ class List:
 
 
 @dataclass(frozen=True)
-class Info:
+class ModelInfo:
     """Say everything the zoo knows of a model."""
 
     name: Name
 
     def run(self) -> int:
         """Tell."""
-        from dataclasses import asdict
-
         from salad.models import hub
 
         entry, path = hub.entry(self.name), hub.path_of(self.name)
-        told = {key: value for key, value in asdict(entry).items() if value is not None}
-        terminal.write_fields(told | {"path": path, "here": "yes" if path.exists() else "no"})
+        known = {key: value for key, value in asdict(entry).items() if value is not None}
+        terminal.write_fields(known | {"path": path, "here": "yes" if path.exists() else "no"})
         return terminal.FOUND
 
 
 @dataclass(frozen=True)
-class Fetch:
+class FetchModel:
     """Fetch a model's weights; goes on where an interrupted download stopped."""
 
     name: Name
@@ -68,6 +66,7 @@ class Fetch:
         """Fetch."""
         from salad.models import hub
 
+        # Before the download, not after it: some licences forbid what people are about to do.
         terminal.say(f"{self.name}: {hub.entry(self.name).licence}")
         with terminal.progress(f"fetching {self.name}") as bar:
             path = hub.fetch(self.name, progress=bar)
@@ -76,7 +75,7 @@ class Fetch:
 
 
 @dataclass(frozen=True)
-class Convert:
+class ConvertFile:
     """Turn a published file into a folder of our own format."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE", help="The published file.")]
@@ -94,7 +93,7 @@ class Convert:
 
 
 @dataclass(frozen=True)
-class Vocabulary:
+class MakeVocabulary:
     """Make AnyLoc's model for a domain: VLAD over a backbone, its vocabulary from an index's photos, no training."""
 
     index: Annotated[Path, arg(metavar="INDEX")]
@@ -112,7 +111,6 @@ class Vocabulary:
 
     def run(self) -> int:
         """Make the vocabulary."""
-        from salad.cli.arguments import model_name_for
         from salad.index.index import Index
         from salad.models.model_folder import load, write_folder
         from salad.training.vocabulary import with_vocabulary
@@ -139,7 +137,7 @@ class Vocabulary:
 
 
 @dataclass(frozen=True)
-class Mean:
+class MeanOfModels:
     """Average the weights of models that were trained from one start, as another model."""
 
     models: Annotated[
@@ -165,12 +163,12 @@ class WeightsCommand:
     """See which models there are, and get them onto this machine."""
 
     command: (
-        Annotated[List, subcommand("list")]
-        | Annotated[Info, subcommand("info")]
-        | Annotated[Fetch, subcommand("fetch")]
-        | Annotated[Convert, subcommand("convert")]
-        | Annotated[Vocabulary, subcommand("vocabulary")]
-        | Annotated[Mean, subcommand("mean")]
+        Annotated[ListModels, subcommand("list")]
+        | Annotated[ModelInfo, subcommand("info")]
+        | Annotated[FetchModel, subcommand("fetch")]
+        | Annotated[ConvertFile, subcommand("convert")]
+        | Annotated[MakeVocabulary, subcommand("vocabulary")]
+        | Annotated[MeanOfModels, subcommand("mean")]
     )
 
     def run(self) -> int:
