@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 from torch import Tensor
 
@@ -27,7 +26,7 @@ Teach = Callable[..., Path]
 
 def images_of(network: Network, photos: Sequence[PhotoLike]) -> Tensor:
     """Photos, squeezed and normalised as the network takes them."""
-    return network.normalise(torch.from_numpy(Describer.of(network).squeezed(photos)))
+    return network.normalise(Describer.of(network).squeezed(photos))
 
 
 @pytest.fixture(scope="session")

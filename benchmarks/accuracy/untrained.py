@@ -19,7 +19,8 @@ from torch.nn import functional as F
 
 from salad.datasets.places import find_places
 from salad.models.describer import Describer
-from salad.network.aggregator_config import GemConfig, compared_aggregators
+from salad.network.aggregator_config import compared_aggregators
+from salad.network.baseline_config import GemConfig
 from salad.network.config import Preprocessing
 from salad.network.network import build
 from salad.training.recipe import PRESETS

@@ -19,8 +19,9 @@ from salad.ablation.grid_setup import (
 )
 from salad.ablation.grids import ALL_BLOCKS, GRIDS, GridRow, grid_rows
 from salad.errors import ModelError, TooFewTokensError, WeightsError
-from salad.network.aggregator_config import MixVprConfig, SaladConfig
+from salad.network.aggregator_config import SaladConfig
 from salad.network.backbones.base import build_backbone
+from salad.network.baseline_config import MixVprConfig
 from salad.network.config import LiteConfig, Preprocessing, ViTConfig
 from salad.network.network import build
 from salad.training.recipe import LITE_PHOTO, PRESETS, Recipe

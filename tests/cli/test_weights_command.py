@@ -20,7 +20,7 @@ from safetensors.torch import load_file
 import salad
 from salad.models import hub
 from salad.models.model_folder import write_folder
-from salad.network.aggregator_config import SceneConfig, VladConfig
+from salad.network.baseline_config import SceneConfig, VladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing
 from salad.network.network import build
 

@@ -19,8 +19,9 @@ from torch.nn import functional as F
 import salad
 from salad.errors import ModelError, PhotoError, TooFewTokensError
 from salad.models.describer import Describer
-from salad.network.aggregator_config import RouteConfig, SaladConfig, SceneConfig
+from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.aggregators.route import Route
+from salad.network.baseline_config import SceneConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
 from salad.network.network import build
 from salad.report import explain
@@ -142,7 +143,7 @@ def test_an_array_of_the_models_own_size_is_not_resampled() -> None:
     model, pixels = made(VIT), _pixels(5, 42, 56)
     mean, std = (np.array(values, np.float32) for values in (PHOTO.mean, PHOTO.std))
     expected = ((pixels.astype(np.float32) / 255 - mean) / std).transpose(2, 0, 1)
-    normalised = model.network.normalise(torch.from_numpy(model.squeezed([pixels])))
+    normalised = model.network.normalise(model.squeezed([pixels]))
     np.testing.assert_allclose(normalised[0].numpy(), expected, atol=1e-5)
 
 

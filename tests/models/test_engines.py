@@ -18,7 +18,8 @@ from salad.models.describer import Describer
 from salad.models.engines import Engine, TorchEngine
 from salad.models.fake import FakeEngine
 from salad.models.model_folder import write_folder
-from salad.network.aggregator_config import GemConfig, NetVladConfig, RouteConfig, SaladConfig
+from salad.network.aggregator_config import RouteConfig, SaladConfig
+from salad.network.baseline_config import GemConfig, NetVladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
 from salad.network.network import Network, build
 

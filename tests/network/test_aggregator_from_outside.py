@@ -20,11 +20,11 @@ import salad
 from salad.errors import ModelError
 from salad.network.aggregator_config import (
     AGGREGATOR_KINDS,
-    GemConfig,
     SaladConfig,
     compared_aggregators,
     register_aggregator,
 )
+from salad.network.baseline_config import GemConfig
 from salad.network.config import ModelConfig
 from salad.network.network import build
 

@@ -15,8 +15,13 @@ from jaxtyping import jaxtyped
 from torch import Tensor, nn
 
 from salad.errors import ModelError
-from salad.network.aggregator_config import (
-    AggregatorConfig,
+from salad.network.aggregator_config import AggregatorConfig, RouteConfig, SaladConfig
+from salad.network.aggregators.base import build_aggregator
+from salad.network.aggregators.netvlad import NetVlad
+from salad.network.aggregators.pooling import Gem
+from salad.network.aggregators.route import Route
+from salad.network.aggregators.vlad import Vlad
+from salad.network.baseline_config import (
     AverageConfig,
     BoqConfig,
     ConvApConfig,
@@ -24,16 +29,9 @@ from salad.network.aggregator_config import (
     GemConfig,
     MixVprConfig,
     NetVladConfig,
-    RouteConfig,
-    SaladConfig,
     SceneConfig,
     VladConfig,
 )
-from salad.network.aggregators.base import build_aggregator
-from salad.network.aggregators.netvlad import NetVlad
-from salad.network.aggregators.pooling import Gem
-from salad.network.aggregators.route import Route
-from salad.network.aggregators.vlad import Vlad
 from salad.network.tokens import Tokens
 
 GRID = (4, 6)

@@ -14,10 +14,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from salad.errors import ModelError
-from salad.network.aggregator_config import SceneConfig
 from salad.network.backbones.base import build_backbone
 from salad.network.backbones.dinov2 import ViT
-from salad.network.backbones.efficientnet import AT_ONCE, LITES, Filter, Lite, _norm
+from salad.network.backbones.efficientnet import AT_ONCE, LITES, Lite, SamePadConv2d, _norm
+from salad.network.baseline_config import SceneConfig
 from salad.network.config import LiteConfig, LiteKind, ModelConfig, ViTConfig
 from salad.network.network import build
 from salad.training.start import start_backbone
@@ -93,7 +93,7 @@ def test_folded_normalisation_is_convolution_then_normalisation(height: int, wid
 @settings(deadline=None, max_examples=40)
 @given(st.integers(1, 20), st.integers(1, 20), st.sampled_from([1, 3, 5]), st.sampled_from([1, 2]))
 def test_padding_is_tensorflows_whatever_the_size(height: int, width: int, kernel: int, stride: int) -> None:
-    layer, x = Filter(2, 2, kernel=kernel, stride=stride), torch.randn(1, 2, height, width)
+    layer, x = SamePadConv2d(2, 2, kernel=kernel, stride=stride), torch.randn(1, 2, height, width)
     norm = _norm(2).eval()
     expected = norm(_same(x, layer.weight, stride=stride))
     assert expected.shape[2:] == (-(-height // stride), -(-width // stride))
@@ -101,7 +101,7 @@ def test_padding_is_tensorflows_whatever_the_size(height: int, width: int, kerne
 
 
 def test_gradients_reach_the_filter_and_the_norm_as_if_apart() -> None:
-    layer, norm, x = Filter(3, 4, kernel=3, stride=2), _norm(4).eval(), _images(2, 9, 8)
+    layer, norm, x = SamePadConv2d(3, 4, kernel=3, stride=2), _norm(4).eval(), _images(2, 9, 8)
     grads = []
     for out in (layer.normalised(x, norm), norm(_same(x, layer.weight, stride=2))):
         layer.zero_grad()

@@ -11,8 +11,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from salad.models.model_folder import load
-from salad.network.aggregator_config import SceneConfig
 from salad.network.aggregators.salad import Salad
+from salad.network.baseline_config import SceneConfig
 from salad.network.config import ModelConfig, ViTConfig
 from salad.network.network import Network, build
 from salad.network.tokens import Tokens

@@ -19,9 +19,9 @@ from torch.nn import functional as F
 from salad.errors import MissingExtraError, ModelError
 from salad.models.describer import Describer
 from salad.models.model_folder import load, write_folder
-from salad.network.aggregator_config import SceneConfig
 from salad.network.backbones.base import build_backbone
 from salad.network.backbones.resnet_convnext import ConvNext, ResNet, own_names
+from salad.network.baseline_config import SceneConfig
 from salad.network.config import ConvNextConfig, ModelConfig, Preprocessing, ResNetConfig
 from salad.network.model_size import parameters
 from salad.network.network import build
@@ -310,7 +310,7 @@ def test_without_the_extra_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_whoever_builds_none_does_not_wait_for_the_library() -> None:
     code = (
         "import sys, salad.models.model_folder, salad.training.start, salad.network.model_size as counting\n"
-        "from salad.network.aggregator_config import SceneConfig\n"
+        "from salad.network.baseline_config import SceneConfig\n"
         "from salad.network.config import LiteConfig, ModelConfig\n"
         "from salad.network.network import build\n"
         "build(ModelConfig('a', LiteConfig(blocks=1), SceneConfig(16)))\n"

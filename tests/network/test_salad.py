@@ -15,10 +15,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from salad.errors import TooFewTokensError
-from salad.network.aggregator_config import PRESETS, GemConfig, SaladConfig, SceneConfig
+from salad.network.aggregator_config import PRESETS, SaladConfig
 from salad.network.aggregators.base import build_aggregator
 from salad.network.aggregators.pooling import Gem, Scene
 from salad.network.aggregators.salad import Salad
+from salad.network.baseline_config import GemConfig, SceneConfig
 from salad.network.tokens import Tokens
 
 SMALL = SaladConfig(width=6, clusters=3, cluster_dim=4, scene_dim=5, hidden=7)

@@ -65,7 +65,9 @@ def _default(told: str) -> str:
 
 def settings() -> dict[str, Any]:
     """Every setting of a model and of a run, with its default as JSON would hold it."""
-    kinds: dict[str, Any] = {f"aggregator {kind}": one for kind, one in where.AGGREGATOR_KINDS.items()}
+    kinds: dict[str, Any] = {
+        f"aggregator {kind}": where.aggregator_kind(kind) for kind in where.AGGREGATOR_KINDS
+    }
     kinds |= {f"backbone {kind}": one for kind, one in where.BACKBONE_KINDS.items()}
     kinds |= {
         "model": ModelConfig,

@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from salad.errors import MissingExtraError, ModelError
-from salad.network.aggregator_config import GemConfig
+from salad.network.baseline_config import GemConfig
 from salad.network.config import ModelConfig
 from salad.network.network import build
 from salad.training.optim import (

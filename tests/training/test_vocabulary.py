@@ -14,9 +14,9 @@ import torch
 from salad.errors import MissingExtraError, ModelError, PhotoError
 from salad.models.describer import Describer, PhotoLike
 from salad.models.model_folder import load, write_folder
-from salad.network.aggregator_config import NetVladConfig, SceneConfig, VladConfig
 from salad.network.aggregators.netvlad import NetVlad
 from salad.network.aggregators.vlad import Vlad
+from salad.network.baseline_config import NetVladConfig, SceneConfig, VladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing
 from salad.network.network import Network, build
 from salad.training import vocabulary

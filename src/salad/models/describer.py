@@ -17,7 +17,8 @@ from salad.models.engines import Engine, TorchEngine
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 if TYPE_CHECKING:
-    from salad.models.engines import Network, Weights
+    from salad.models.engines import Network, Outputs, Weights
+    from salad.network.config import Output
 
 PhotoLike = str | Path | Image.Image | UInt8[np.ndarray, "height width 3"]
 
@@ -150,6 +151,7 @@ class Describer:
         """
         if batch_size < 1:
             raise ModelError(f"batch_size is {batch_size}; give at least 1")
+        # Batch after batch, squeezed photos too: a million of them would not fit into memory.
         rows = np.empty((len(photos), self.dim), dtype=np.float32)
         for start in range(0, len(photos), batch_size):
             images = self.squeezed(photos[start : start + batch_size])
@@ -168,16 +170,31 @@ class Describer:
             row[:] = squeezed(photo, to)
         return made
 
+    def outputs(self, photos: Sequence[PhotoLike], *names: Output) -> Outputs:
+        """What the engine makes of photos besides descriptors, all in one batch: `patches`, `cls`, `plan`.
+
+        Returns:
+            For each name an array, as `salad.models.engines` shapes it.
+
+        Raises:
+            PhotoError: If a path cannot be read, or an array is no photo.
+            ModelError: If the model has no such output.
+            MissingExtraError: If what runs the model is not installed.
+        """
+        return self.engine.run(self.squeezed(photos), names)
+
     def token_assignment(self, photo: PhotoLike) -> TokenAssignment:
         """Where one photo's tokens went: what the dustbin took and which cluster has the most of the rest.
 
         Raises:
             ModelError: If the model has no dustbin, or nothing says what that took of a token.
         """
+        # Asked of the configuration: the answer must not wait for weights to be loaded.
         reason = self.config.aggregator.no_dustbin
         if reason:
             raise ModelError(f"the model {self.name} has no dustbin to show: {reason}")
-        plan = self.engine.run(self.squeezed([photo]), ("plan",))["plan"][0]
+        # The dustbin is the plan's last row in every engine.
+        plan = self.outputs([photo], "plan")["plan"][0]
         return TokenAssignment(dustbin=plan[-1], cluster=plan[:-1].argmax(axis=0))
 
     def share(self, photo: PhotoLike) -> TokenAssignment:
@@ -194,6 +211,7 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> UInt8[np.ndarray, "height w
     Raises:
         PhotoError: If a path cannot be read, or an array is no photo.
     """
+    # Files are decoded and squeezed in one go: a large JPEG is reduced while it is decoded, everywhere alike.
     if isinstance(photo, str | Path):
         return decode(Path(photo), to.height, to.width, to.resample)
     if isinstance(photo, np.ndarray):
@@ -201,6 +219,7 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> UInt8[np.ndarray, "height w
             raise PhotoError(
                 f"an array of {photo.dtype} {photo.shape} is no photo: give uint8 [height, width, 3]"
             )
+        # As workers and caches hand photos over: decoded and squeezed for this very model.
         if photo.shape == (to.height, to.width, 3):
             return photo
         photo = Image.fromarray(photo)

@@ -82,6 +82,7 @@ def check_request(engine: Engine, photos: Photos, outputs: Sequence[Output]) -> 
     Raises:
         ModelError: If the photos are of another shape or type, or an output is not there.
     """
+    # Exported graphs are made for one size; what a flexible engine would let pass must fail in the first one too.
     height, width = engine.size
     if photos.dtype != np.uint8 or photos.ndim != 4 or photos.shape[1:] != (height, width, 3):
         raise ModelError(
@@ -114,7 +115,7 @@ class TorchEngine:
     def of(cls, network: Network) -> Self:
         """Run a network that is there already; what changes its weights changes what the engine gives."""
         engine = cls(network.config, network.weights, source=Path(network.config.name))
-        engine._network = network
+        engine._network = network  # and `read` is the network's own, so that training shows in `weights`
         return engine
 
     @property
@@ -126,6 +127,7 @@ class TorchEngine:
             WeightsError: If the weights do not fit the configuration.
             ModelError: If the device cannot be used.
         """
+        # The lock is held while loading, not only while asking: the second caller wants the result, not a second load.
         with self._loading:
             if self._network is None:
                 self._network = self._loaded()
@@ -169,8 +171,10 @@ class TorchEngine:
 
         from salad.network.network import evaluating
 
+        # Inference mode is the thread's own, but the module's mode is everybody's: train in one thread alone.
         with torch.inference_mode(), evaluating(network):
-            made = network.outputs(torch.from_numpy(photos).to(network.device), outputs)
+            made = network.outputs(photos, outputs)
+        # Whatever precision it ran in, callers get float32 on the processor.
         return {name: value.float().cpu().numpy() for name, value in made.items()}
 
 

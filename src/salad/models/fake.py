@@ -47,7 +47,7 @@ class FakeEngine:
 
     def weights(self) -> Weights:
         """Drawn anew: what projects a thumbnail, and what scores a token for each cluster and the dustbin."""
-        chance = np.random.default_rng(self.seed)
+        chance = np.random.default_rng(self.seed)  # of its own: nobody else's numbers change
         return {
             "projection": chance.standard_normal((3 * _GRID**2 + 1, self.dim)),
             "score": chance.standard_normal((3, self.clusters + 1)),
@@ -67,6 +67,7 @@ class FakeEngine:
         # Around its mean, for light is no place; and a constant, for a photo of one colour has a descriptor too.
         seen = np.column_stack([flat - flat.mean(axis=1, keepdims=True), np.full(len(photos), 0.1)])
         descriptor = seen @ weights["projection"]
+        # A softmax over clusters and dustbin: not Sinkhorn's plan, but every token is shared out whole.
         odds = np.exp(patches @ weights["score"])
         made: dict[Output, np.ndarray] = {
             "descriptor": descriptor / np.linalg.norm(descriptor, axis=1, keepdims=True),
@@ -103,7 +104,9 @@ class FakeDescriber:
     @property
     def fingerprint(self) -> str:
         """Changes with the dimension, the seed and every preprocessing setting."""
+        # The name does not count, as with real models: what describes alike may search the same index.
         settings = (self.dim, self.seed, self.preprocessing)
+        # With a prefix, so that no index of a fake is ever taken for one of a model's.
         return "fake-" + hashlib.blake2b(repr(settings).encode(), digest_size=8).hexdigest()
 
     def describe(

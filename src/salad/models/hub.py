@@ -1,8 +1,12 @@
-"""The model zoo: one table of published and bundled weights, and where they lie on this machine.
+"""The model zoo: one table of published and bundled weights, where they lie on this machine, and fetching them.
 
 Bundled weights are a folder inside the package. The others are fetched to `home()/weights/NAME/FILE`, where a
 file downloaded by hand may be put just as well. A file whose checksum the table does not know has it recorded
 beside it, in `FILE.sha256`, the first time it is used.
+
+A download survives a bad network: bytes go to `FILE.part`, which is renamed when it is whole, so a file under its own
+name is always complete. What a broken connection left is gone on with at the next attempt, if the server still
+publishes the same file (`FILE.part.version` holds what it said of it). Only the standard library is needed for it.
 """
 
 from __future__ import annotations
@@ -27,17 +31,10 @@ import platformdirs
 from salad.errors import FetchError, WeightsError
 from salad.files import write_whole
 
-# --- Downloading one large file over https, so that it survives a bad network ---
-#
-# Bytes go to `FILE.part`, which is renamed when it is whole: a file under its own name is always complete. What
-# a broken connection left is gone on with at the next attempt, if the server still publishes the same file
-# (`FILE.part.version` holds what it said of it). Standard library only.
-
-
 Progress = Callable[[int, int | None], None]
 Opener = Callable[..., Any]
 
-_CHUNK = 1 << 20
+_CHUNK = 1 << 20  # bytes between two looks at the clock, and between two words of progress
 _SILENCE = 60.0  # seconds without a byte after which a connection counts as broken
 
 
@@ -67,12 +64,12 @@ def download(
         opener: What opens a request.
 
     Raises:
-        DownloadFailedError: The file could not be had; what arrived is kept if it can be gone on with.
+        DownloadFailedError: If the file could not be had; what arrived is kept if it can be gone on with.
     """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with _one_at_a_time(target.with_name(target.name + ".lock")):
-            if target.is_file():
+            if target.is_file():  # another process brought it while this one waited
                 return
             part = target.with_name(target.name + ".part")
             total = _resume(url, part, progress, opener)
@@ -90,7 +87,7 @@ def check(path: Path, *, sha256: str | None = None) -> None:
     """Compare a file with its checksum, else with the one recorded at its first use; record it at the first.
 
     Raises:
-        WeightsError: The file is another one.
+        WeightsError: If the file is another one.
     """
     found, recorded = _sha256(path), _beside(path, "sha256")
     if sha256 is None and not recorded.exists():
@@ -110,22 +107,15 @@ def _one_at_a_time(lock: Path) -> Iterator[None]:
     """Hold a lock that every platform lets go of when a process dies: that of an empty SQLite file."""
     try:
         with contextlib.closing(sqlite3.connect(lock, timeout=0.5, isolation_level=None)) as gate:
-            while not _taken(gate):
-                pass  # each try waits half a second, and Ctrl-C is heard in between
+            while not gate.in_transaction:  # each try waits half a second, and Ctrl-C is heard in between
+                try:
+                    gate.execute("BEGIN EXCLUSIVE")
+                except sqlite3.OperationalError as error:
+                    if "locked" not in str(error):  # no other process, but the disk
+                        raise
             yield
     except sqlite3.Error as error:
         raise OSError(f"cannot lock {lock}: {error}") from error
-
-
-def _taken(gate: sqlite3.Connection) -> bool:
-    """Try to take a lock; false where another process holds it."""
-    try:
-        gate.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError as error:
-        if "locked" in str(error):
-            return False
-        raise
-    return True
 
 
 def _resume(url: str, part: Path, progress: Progress | None, opener: Opener) -> int | None:
@@ -145,8 +135,13 @@ def _resume(url: str, part: Path, progress: Progress | None, opener: Opener) -> 
 
 def _receive(url: str, part: Path, progress: Progress | None, opener: Opener) -> int | None:
     """Ask once for what `part` lacks, and append it, or all of it where the server starts over."""
-    have = part.stat().st_size if part.exists() else 0
-    with opener(_request(url, part, have), timeout=_SILENCE) as response:
+    version, have = _beside(part, "version"), part.stat().st_size if part.exists() else 0
+    request = urllib.request.Request(_allowed(url), headers={"User-Agent": "salad"})
+    if have:
+        request.add_header("Range", f"bytes={have}-")
+        if version.exists():  # only of the file that the first bytes came from
+            request.add_header("If-Range", version.read_text(encoding="utf-8"))
+    with opener(request, timeout=_SILENCE) as response:
         _allowed(response.geturl())  # where redirects led
         goes_on = re.match(rf"bytes {have}-\d+/(\d+)$", response.headers.get("Content-Range") or "")
         if response.status == HTTPStatus.PARTIAL_CONTENT and not goes_on:
@@ -155,8 +150,13 @@ def _receive(url: str, part: Path, progress: Progress | None, opener: Opener) ->
         length = goes_on[1] if goes_on else response.headers.get("Content-Length")
         total = int(length) if length else None
         if not goes_on:
-            have = 0
-            _remember_version(part, response)
+            have, tag = 0, response.headers.get("ETag") or ""
+            # HTTP does not let a weak tag (W/"...") vouch for single bytes.
+            said = tag if tag.startswith('"') else response.headers.get("Last-Modified")
+            if said:
+                write_whole(version, said.encode())
+            else:
+                version.unlink(missing_ok=True)
         with part.open("ab" if goes_on else "wb") as file:
             while chunk := response.read(_CHUNK):
                 file.write(chunk)
@@ -166,38 +166,19 @@ def _receive(url: str, part: Path, progress: Progress | None, opener: Opener) ->
     return total
 
 
-def _request(url: str, part: Path, have: int) -> urllib.request.Request:
-    """Ask for the bytes from `have` on, provided that the file is still the one the first bytes came from."""
-    request = urllib.request.Request(_allowed(url), headers={"User-Agent": "salad"})
-    if have:
-        request.add_header("Range", f"bytes={have}-")
-        if _beside(part, "version").exists():
-            request.add_header("If-Range", _beside(part, "version").read_text(encoding="utf-8"))
-    return request
-
-
 def _allowed(url: str) -> str:
     """Refuse anything but https, save for a server on this very machine."""
     parts = urllib.parse.urlsplit(url)
+    # Also asked of where a redirect led: weights that came in plain text may be anybody's.
     if parts.scheme == "https" or (parts.scheme == "http" and parts.hostname == "127.0.0.1"):
         return url
     raise OSError(f"{url} is not an https address")
 
 
-def _remember_version(part: Path, response: Any) -> None:
-    """Keep what tells this version of the published file from a later one, where the server says it."""
-    tag = response.headers.get("ETag") or ""
-    # HTTP does not let a weak tag (W/"...") vouch for single bytes.
-    version = tag if tag.startswith('"') else response.headers.get("Last-Modified")
-    if version:
-        write_whole(_beside(part, "version"), version.encode())
-    else:
-        _beside(part, "version").unlink(missing_ok=True)
-
-
 def _settle(part: Path, target: Path, total: int | None, *, sha256: str | None, size: int | None) -> None:
     """Give a part its own name if it is all there and what it should be."""
     length = part.stat().st_size
+    # Short of bytes it may be gone on with; with wrong ones it may not, or every later attempt would fail too.
     if total is not None and length < total:
         raise OSError(
             f"the connection broke off after {length} of {total} bytes, which are kept to go on from"
@@ -267,21 +248,6 @@ def _bundled(name: str, dim: int, note: str, *, image_size: int) -> ZooEntry:
     )
 
 
-def _dinov2(letter: str, dim: int, registers: bool) -> ZooEntry:
-    """Make the row of one DINOv2 backbone."""
-    stem = f"dinov2_vit{letter}14"
-    file = f"{stem}_{'reg4_' if registers else ''}pretrain.pth"
-    return ZooEntry(
-        name=f"dinov2-vit{letter}14{'-reg' if registers else ''}",
-        url=f"https://dl.fbaipublicfiles.com/dinov2/{stem}/{file}",
-        file=file,
-        layout="hub",
-        dim=dim,
-        licence="Apache-2.0",
-        note=f"DINOv2 backbone{' with 4 registers' if registers else ''}, to train a SALAD head on",
-    )
-
-
 _ENTRIES = (
     _bundled("salad-lite", 8448, "small, ships with the package, runs on any laptop", image_size=320),
     _bundled(
@@ -316,9 +282,18 @@ _ENTRIES = (
         note="DINOv2 ViT-B/14 and a larger SALAD, trained on five data sets at once",
     ),
     *(
-        _dinov2(letter, dim, registers)
-        for letter, dim in (("s", 384), ("b", 768), ("l", 1024), ("g", 1536))
+        ZooEntry(
+            name=f"dinov2-vit{size}14{'-reg' if registers else ''}",
+            url=f"https://dl.fbaipublicfiles.com/dinov2/dinov2_vit{size}14/{file}",
+            file=file,
+            layout="hub",
+            dim=dim,
+            licence="Apache-2.0",
+            note=f"DINOv2 backbone{' with 4 registers' if registers else ''}, to train a SALAD head on",
+        )
+        for size, dim in (("s", 384), ("b", 768), ("l", 1024), ("g", 1536))
         for registers in (False, True)
+        for file in [f"dinov2_vit{size}14_{'reg4_' if registers else ''}pretrain.pth"]
     ),
 )
 
@@ -335,7 +310,7 @@ def entry(name: str) -> ZooEntry:
     """Look up a row of the zoo.
 
     Raises:
-        WeightsError: There is no such row.
+        WeightsError: If there is no such row.
     """
     if name not in ZOO:
         raise WeightsError(f"no weights are called '{name}': the zoo has {', '.join(ZOO)}")
@@ -364,10 +339,11 @@ def fetch(name: str, *, progress: Progress | None = None, opener: Opener = urlli
         The file, or for bundled weights the folder.
 
     Raises:
-        FetchError: The download failed; the message says which file to put where by hand.
-        WeightsError: No such weights, or the file on disk is not the one it was.
+        FetchError: If the download failed; the message says which file to put where by hand.
+        WeightsError: If there are no such weights, or the file on disk is not the one it was.
     """
     row, path = entry(name), path_of(name)
+    # Bundled weights are part of the installation: nothing is fetched in their place, or an index would not know them.
     if row.url is None:
         if not path.is_dir():
             raise WeightsError(f"the bundled weights '{name}' are not at {path}: install the package again")
@@ -380,5 +356,6 @@ def fetch(name: str, *, progress: Progress | None = None, opener: Opener = urlli
                 f"could not fetch '{name}' ({error}): try again, or download {row.url} "
                 f"on a machine with a network and put it at {path}"
             ) from error
+    # Every time, and for a file put there by hand too: so a damaged disk is told from a bad model.
     check(path, sha256=row.sha256)
     return path

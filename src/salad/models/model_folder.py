@@ -57,6 +57,7 @@ def load(spec: str | Path, *, device: str = "cpu", heads: int | None = None) -> 
         FetchError: If the weights have to be fetched first and cannot be.
         ModelError: If the device cannot be used.
     """
+    # What lies on disk goes before the zoo: a folder named like one of its models is somebody's own copy.
     path, name = Path(spec), None
     if not path.exists():
         if str(spec) not in hub.ZOO:
@@ -120,12 +121,14 @@ def write_folder(
         }
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        # Beside its place and not in the system's folder: only within one disk is a rename a single step.
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
             draft = Path(scratch) / "new"
             draft.mkdir()
             save_file(weights, draft / WEIGHTS)
             (draft / CONFIG).write_text(_config_text(model.config), encoding="utf-8")
             shutil.copymode(draft / CONFIG, draft / WEIGHTS)  # safetensors writes for its owner alone
+            # Between the two renames there is no model for a moment, but at no moment half a one.
             if folder.exists():
                 folder.rename(Path(scratch) / "old")
             draft.rename(folder)
@@ -145,7 +148,7 @@ def write_calibration(folder: str | Path, calibration: Calibration) -> None:
     draft = folder / f".{CONFIG}.part"
     try:
         draft.write_text(_config_text(config), encoding="utf-8")
-        shutil.copymode(folder / CONFIG, draft)
+        shutil.copymode(folder / CONFIG, draft)  # whoever could read the model still can
         draft.replace(folder / CONFIG)
     except OSError as error:
         with suppress(OSError):
@@ -159,6 +162,7 @@ def _read_config(folder: Path) -> ModelConfig:
             raise WeightsError(f"{folder} is not a model: it holds no {name}")
     try:
         settings = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
+        # Before anything else is read of it: a newer format may mean something else by the same words.
         version = settings.pop("format")
         if version != FORMAT:
             raise WeightsError(

@@ -1,6 +1,7 @@
-"""Aggregators as data: what each is made of, which torch module it becomes, and the one table of them.
+"""Aggregators as data: what every configuration is, SALAD's own, and the one table of all aggregators.
 
 Nothing here imports torch: a configuration names its module as a string, which is imported when one is built.
+`baseline_config` has the aggregators that SALAD is compared with.
 """
 
 from __future__ import annotations
@@ -10,15 +11,13 @@ import math
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, cast, get_args
 
 from salad.errors import ModelError
 
 Transport = Literal["sinkhorn", "softmax", "dual-softmax"]
 WIDE = 384
 """Numbers in a token from which on an aggregator is compared at its paper's size; below, near salad-lite's."""
-ENTRY_POINTS = "salad.aggregators"
-"""Where installed packages name aggregators of their own: kind = "package.module:Config"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +82,7 @@ class AggregatorConfig:
     def as_settings(self) -> dict[str, Any]:
         """This configuration as JSON holds it."""
         settings = dataclasses.asdict(self)
+        # Left out at its default: else every model that was saved before would have another fingerprint today.
         for field in dataclasses.fields(self):
             if field.name in self.later and settings[field.name] == field.default:
                 del settings[field.name]
@@ -106,7 +106,9 @@ class AggregatorConfig:
         """
         for name in names:
             value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            if (
+                not isinstance(value, int) or isinstance(value, bool) or value < least
+            ):  # True would count as 1
                 raise ModelError(
                     f"{name} of the {self.kind} aggregator is {value!r}: give a whole number, at least {least}"
                 )
@@ -158,13 +160,11 @@ class SaladConfig(AggregatorConfig):
                 f"transport {self.transport!r} is unknown: give one of {', '.join(get_args(Transport))}"
             )
         wanted = self.dustbin_share
-        if wanted is None:
-            return
-        if isinstance(wanted, bool) or not isinstance(wanted, int | float) or not 0 < wanted < 1:
+        if wanted is not None and (not isinstance(wanted, int | float) or not 0 < wanted < 1):
             raise ModelError(
                 f"dustbin_share of the salad aggregator is {wanted!r}: give a share between 0 and 1"
             )
-        if not self.dustbin or self.transport != "sinkhorn":
+        if wanted is not None and (not self.dustbin or self.transport != "sinkhorn"):
             raise ModelError(
                 "dustbin_share needs a dustbin and the transport sinkhorn: nothing else holds to it"
             )
@@ -172,6 +172,7 @@ class SaladConfig(AggregatorConfig):
     @property
     def dim(self) -> int:
         """Numbers in a descriptor."""
+        # A final layer, as MegaLoc's, decides alone, whatever was pooled before it.
         return self.linear or self.scene_dim + self.clusters * self.cluster_dim
 
     @property
@@ -189,6 +190,7 @@ class SaladConfig(AggregatorConfig):
     @classmethod
     def compared(cls, width: int) -> dict[str, Self]:
         """SALAD, and what its paper's ablation takes away or puts in a place."""
+        # Narrow tokens get a head in proportion, or it alone would be larger than the backbone beneath it.
         whole = cls(width) if width >= WIDE else cls(width, cluster_dim=32, scene_dim=128, hidden=256)
         return {
             "salad": whole,
@@ -275,280 +277,17 @@ class RouteConfig(AggregatorConfig):
         return cls(**{**settings, "salad": SaladConfig(**settings["salad"])})
 
 
-@dataclass(frozen=True, slots=True)
-class SceneConfig(AggregatorConfig):
-    """The cls token alone, L2-normalised: what a bare backbone says of a photo."""
-
-    width: int
-    kind: Literal["scene"] = "scene"
-    module: ClassVar[str] = "salad.network.aggregators.pooling:Scene"
-    paper: ClassVar[str] = "Oquab et al. 2023 (DINOv2)"
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """Under the name the field has for it."""
-        return {"class-token": cls(width)}
-
-
-@dataclass(frozen=True, slots=True)
-class AverageConfig(AggregatorConfig):
-    """The mean of the patches, L2-normalised, without weights."""
-
-    width: int
-    kind: Literal["average"] = "average"
-    module: ClassVar[str] = "salad.network.aggregators.pooling:Average"
-
-
-@dataclass(frozen=True, slots=True)
-class GemConfig(AggregatorConfig):
-    """Generalised mean of the tokens: the plain baseline, without weights or with its power learnt.
-
-    Args:
-        width: Numbers in a token it takes.
-        power: The mean's; where it is learnt, its start.
-        learned: Whether the power is a weight.
-    """
-
-    width: int
-    power: float = 3.0
-    learned: bool = False
-    kind: Literal["gem"] = "gem"
-    module: ClassVar[str] = "salad.network.aggregators.pooling:Gem"
-    paper: ClassVar[str] = "Radenović et al. 2018"
-    later: ClassVar[tuple[str, ...]] = ("learned",)
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """With its power learnt, as its paper has it."""
-        return {"gem": cls(width, learned=True)}
-
-
-@dataclass(frozen=True, slots=True)
-class NetVladConfig(AggregatorConfig):
-    """NetVLAD: residuals to centroids, softly assigned.
-
-    Args:
-        width: Numbers in a token it takes.
-        clusters: How many centroids.
-        linear: Width of a final linear layer; None for none.
-    """
-
-    width: int
-    clusters: int = 32
-    linear: int | None = None
-    kind: Literal["netvlad"] = "netvlad"
-    module: ClassVar[str] = "salad.network.aggregators.netvlad:NetVlad"
-    paper: ClassVar[str] = "Arandjelović et al. 2016"
-
-    def __post_init__(self) -> None:
-        self.check_whole("width", "clusters", *(["linear"] if self.linear is not None else []))
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.linear or self.clusters * self.width
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """As it is, and with a linear layer that brings it to SALAD's length."""
-        return {
-            "netvlad": cls(width),
-            "netvlad-linear": cls(width, linear=8192 if width >= WIDE else 2048),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class VladConfig(AggregatorConfig):
-    """VLAD without training, as AnyLoc uses it: residuals to a vocabulary, each token assigned to one word.
-
-    Args:
-        width: Numbers in a token it takes.
-        clusters: Words of the vocabulary.
-    """
-
-    width: int
-    clusters: int = 32
-    kind: Literal["vlad"] = "vlad"
-    module: ClassVar[str] = "salad.network.aggregators.vlad:Vlad"
-    paper: ClassVar[str] = "Keetha et al. 2023 (AnyLoc)"
-
-    def __post_init__(self) -> None:
-        self.check_whole("width", "clusters")
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.clusters * self.width
-
-
-@dataclass(frozen=True, slots=True)
-class MixVprConfig(AggregatorConfig):
-    """MixVPR: perceptrons across the cells of the grid, one channel at a time.
-
-    Args:
-        width: Numbers in a token it takes.
-        grid: Rows and columns of tokens; its weights fit no other grid.
-        depth: How many mixers.
-        ratio: Their hidden width, as a multiple of the cells.
-        channels: Channels kept.
-        rows: Numbers kept for a channel.
-    """
-
-    width: int
-    grid: tuple[int, int] = (20, 20)
-    depth: int = 4
-    ratio: int = 1
-    channels: int = 1024
-    rows: int = 4
-    kind: Literal["mixvpr"] = "mixvpr"
-    module: ClassVar[str] = "salad.network.aggregators.mixvpr:MixVpr"
-    paper: ClassVar[str] = "Ali-bey et al. 2023"
-
-    def __post_init__(self) -> None:
-        self.check_whole("width", "depth", "ratio", "channels", "rows")
-        object.__setattr__(self, "grid", _pair(self.grid, self.kind))  # JSON knows lists alone
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.channels * self.rows
-
-    def for_grid(self, grid: tuple[int, int]) -> Self:
-        """Mixers for these cells."""
-        return dataclasses.replace(self, grid=grid)
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """For DINOv2's 322 pixels where tokens are wide."""
-        return {"mixvpr": cls(width, grid=(23, 23)) if width >= WIDE else cls(width, channels=512)}
-
-
-@dataclass(frozen=True, slots=True)
-class ConvApConfig(AggregatorConfig):
-    """Conv-AP: channels mixed token by token, then averaged over the cells of a coarse grid.
-
-    Args:
-        width: Numbers in a token it takes.
-        channels: Channels kept.
-        grid: Rows and columns of the averages.
-    """
-
-    width: int
-    channels: int = 2048
-    grid: tuple[int, int] = (2, 2)
-    kind: Literal["conv-ap"] = "conv-ap"
-    module: ClassVar[str] = "salad.network.aggregators.convap:ConvAp"
-    paper: ClassVar[str] = "Ali-bey et al. 2022"
-
-    def __post_init__(self) -> None:
-        self.check_whole("width", "channels")
-        object.__setattr__(self, "grid", _pair(self.grid, self.kind))
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.channels * self.grid[0] * self.grid[1]
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """Of 8,192 or 2,048 numbers."""
-        return {"conv-ap": cls(width, channels=2048 if width >= WIDE else 512)}
-
-
-@dataclass(frozen=True, slots=True)
-class CosPlaceConfig(AggregatorConfig):
-    """CosPlace: a generalised mean with a learnt power, then a linear layer.
-
-    Args:
-        width: Numbers in a token it takes.
-        linear: Numbers in a descriptor.
-        power: Where the mean's power starts.
-    """
-
-    width: int
-    linear: int = 2048
-    power: float = 3.0
-    kind: Literal["cosplace"] = "cosplace"
-    module: ClassVar[str] = "salad.network.aggregators.cosplace:CosPlace"
-    paper: ClassVar[str] = "Berton et al. 2022"
-
-    def __post_init__(self) -> None:
-        self.check_whole("width", "linear")
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.linear
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """Of 2,048 or 512 numbers."""
-        return {"cosplace": cls(width, linear=2048 if width >= WIDE else 512)}
-
-
-@dataclass(frozen=True, slots=True)
-class BoqConfig(AggregatorConfig):
-    """BoQ, a bag of queries: learnt queries look at the tokens, after each of a few encoder layers.
-
-    Args:
-        width: Numbers in a token it takes.
-        channels: Numbers in a token inside.
-        queries: Learnt queries of a block.
-        blocks: How many blocks.
-        rows: Numbers kept for a channel.
-        heads: Attention heads, which divide the channels.
-    """
-
-    width: int
-    channels: int = 384
-    queries: int = 64
-    blocks: int = 2
-    rows: int = 32
-    heads: int = 6
-    kind: Literal["boq"] = "boq"
-    module: ClassVar[str] = "salad.network.aggregators.boq:Boq"
-    paper: ClassVar[str] = "Ali-bey et al. 2024"
-
-    def __post_init__(self) -> None:
-        self.check_whole("width", "channels", "queries", "blocks", "rows", "heads")
-        if self.channels % self.heads:
-            raise ModelError(
-                f"{self.heads} heads do not divide {self.channels} channels of the boq aggregator"
-            )
-
-    @property
-    def dim(self) -> int:
-        """Numbers in a descriptor."""
-        return self.channels * self.rows
-
-    @classmethod
-    def compared(cls, width: int) -> dict[str, Self]:
-        """As its paper has it, or a third as wide."""
-        return {
-            "boq": cls(width) if width >= WIDE else cls(width, channels=128, queries=32, rows=16, heads=2)
-        }
-
-
-def _pair(grid: object, kind: str) -> tuple[int, int]:
-    sides = tuple(grid) if isinstance(grid, list | tuple) else ()
-    if len(sides) != 2 or not all(type(side) is int and side > 0 for side in sides):
-        raise ModelError(
-            f"grid of the {kind} aggregator is {grid!r}: give its rows and columns, at least 1 each"
-        )
-    return sides
-
-
 AGGREGATOR_KINDS: dict[str, type[AggregatorConfig] | str] = {
     "salad": SaladConfig,
-    "netvlad": NetVladConfig,
-    "gem": GemConfig,
-    "average": AverageConfig,
-    "scene": SceneConfig,
-    "mixvpr": MixVprConfig,
-    "conv-ap": ConvApConfig,
-    "cosplace": CosPlaceConfig,
-    "boq": BoqConfig,
-    "vlad": VladConfig,
+    "netvlad": "salad.network.baseline_config:NetVladConfig",
+    "gem": "salad.network.baseline_config:GemConfig",
+    "average": "salad.network.baseline_config:AverageConfig",
+    "scene": "salad.network.baseline_config:SceneConfig",
+    "mixvpr": "salad.network.baseline_config:MixVprConfig",
+    "conv-ap": "salad.network.baseline_config:ConvApConfig",
+    "cosplace": "salad.network.baseline_config:CosPlaceConfig",
+    "boq": "salad.network.baseline_config:BoqConfig",
+    "vlad": "salad.network.baseline_config:VladConfig",
     "salad-route": RouteConfig,
 }
 """Every aggregator by its kind: a configuration, or where one is ("package.module:Config"), imported when asked for."""
@@ -564,6 +303,7 @@ def register_aggregator(config: type[Config]) -> type[Config]:
     Raises:
         ModelError: If another aggregator has that kind.
     """
+    # The default stands in the class's fields: with slots, the attribute of the class is the slot and not the value.
     kind = next(str(field.default) for field in dataclasses.fields(config) if field.name == "kind")
     if AGGREGATOR_KINDS.setdefault(kind, config) is not config:
         raise ModelError(
@@ -579,17 +319,15 @@ def aggregator_kind(kind: object) -> type[AggregatorConfig]:
         ValueError: If the kind is unknown.
         ModelError: If it is known, but the package that has it cannot be imported.
     """
-    known = _known()
+    # Packages are asked only for what is not ours: their list takes longer to read than a model's configuration.
+    known = AGGREGATOR_KINDS if kind in AGGREGATOR_KINDS else _known()
     if kind not in known:
         raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(known)}")
     config = known[str(kind)]
-    if not isinstance(config, str):
-        return config
     try:
-        made: type[AggregatorConfig] = resolve_name(config)
+        return cast(type[AggregatorConfig], resolve_name(config)) if isinstance(config, str) else config
     except (ImportError, AttributeError, ValueError) as error:
         raise ModelError(f"the aggregator {kind!r} is {config}, which cannot be imported: {error}") from error
-    return made
 
 
 def compared_aggregators(width: int) -> dict[str, AggregatorConfig]:
@@ -598,6 +336,7 @@ def compared_aggregators(width: int) -> dict[str, AggregatorConfig]:
 
 
 def _known() -> dict[str, type[AggregatorConfig] | str]:
-    """The table, and what installed packages add to it; their entry points are read anew, which takes milliseconds."""
-    installed = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    """The table, and what installed packages add to it."""
+    # The table comes last: no package may put something else in the place of one of ours.
+    installed = {point.name: point.value for point in entry_points(group="salad.aggregators")}
     return {**installed, **AGGREGATOR_KINDS}

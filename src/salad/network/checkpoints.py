@@ -1,4 +1,4 @@
-"""The published layouts of weights: whose names are whose, and what shapes tell.
+"""The published layouts of weights: whose names are whose, and what shapes tell; and the mean of models.
 
 Four layouts are known: `flat` (SALAD's release), the same inside a Lightning checkpoint, `megaloc`, and `hub`
 (DINOv2's backbone alone). Each is renamed to our own, and everything a file says (widths, depths, clusters,
@@ -20,7 +20,8 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from salad.errors import ModelError, WeightsError
-from salad.network.aggregator_config import AggregatorConfig, SaladConfig, SceneConfig
+from salad.network.aggregator_config import AggregatorConfig, SaladConfig
+from salad.network.baseline_config import SceneConfig
 from salad.network.config import ModelConfig, ViTConfig
 from salad.network.network import Network, build, load_weights
 
@@ -78,6 +79,7 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
     Raises:
         WeightsError: If it cannot be read safely, or holds something else than tensors.
     """
+    # A safetensors file holds numbers and names; everything else is a pickle, of which torch's reader runs no code.
     if path.suffix == ".safetensors":
         try:
             return load_file(path)
@@ -89,6 +91,7 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
         raise WeightsError(
             f"{path} is no file of weights that can be read safely ({type(error).__name__})"
         ) from error
+    # Lightning wraps the weights, beside optimizers and settings that are of no use here.
     raw = raw.get("state_dict", raw) if isinstance(raw, Mapping) else raw
     if not isinstance(raw, Mapping) or not all(isinstance(value, Tensor) for value in raw.values()):
         raise WeightsError(f"{path} holds something else than named tensors")
@@ -99,13 +102,14 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
     """Rename published weights to our own names and read the model's shape off them.
 
     Args:
-        raw: the file's tensors under its own names.
-        heads: attention heads, which no tensor tells; width / 64 where not given.
+        raw: The file's tensors under its own names.
+        heads: Attention heads, which no tensor tells; width / 64 where not given.
 
     Raises:
-        WeightsError: the names belong to no layout known here, or a tensor that must be there is missing or has
+        WeightsError: If the names belong to no layout known here, or a tensor that must be there is missing or has
             too few axes.
     """
+    # Told apart by the one name that each has and the others lack; Lightning's is the flat one, unwrapped already.
     keys = raw.keys()
     if any(key.startswith("backbone.model.") for key in keys):
         layout, weights = "flat", {_flat(key): value for key, value in raw.items()}
@@ -130,7 +134,12 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
         raise WeightsError(f"the tensor {error} is missing; the file may be cut short") from error
     except IndexError as error:
         raise WeightsError("a tensor has too few axes for its name; the file may be damaged") from error
-    return Published(layout, vit, aggregator, _flatten_convolutions(weights))
+    for key, value in weights.items():
+        if key.startswith("aggregator.") and value.ndim == 4:
+            weights[key] = value.flatten(
+                1
+            )  # a 1 x 1 convolution is the linear layer that we have in its place
+    return Published(layout, vit, aggregator, weights)
 
 
 def _flat(key: str) -> str:
@@ -138,16 +147,9 @@ def _flat(key: str) -> str:
     return re.sub(r"^aggregator\.(\w+)", lambda name: f"aggregator.{AGGREGATOR.get(name[1], name[1])}", key)
 
 
-def _flatten_convolutions(weights: Weights) -> Weights:
-    """1 x 1 convolutions are the linear layers that we have in their place."""
-    return {
-        key: value.flatten(1) if key.startswith("aggregator.") and value.ndim == 4 else value
-        for key, value in weights.items()
-    }
-
-
 def _vit(weights: Weights, heads: int | None) -> ViTConfig:
     width = weights["backbone.cls_token"].shape[-1]
+    # Counted by the highest number and not by how many there are: a block that is missing is then said by name.
     numbers = [int(found[1]) for key in weights if (found := re.match(r"backbone\.blocks\.(\d+)\.", key))]
     registers = weights.get("backbone.register_tokens")
     return ViTConfig(
@@ -173,23 +175,15 @@ def _salad(weights: Weights) -> SaladConfig:
     )
 
 
-# --- One model out of several that were trained from one start: the mean of their weights ---
-#
-# Runs that differ in their batches, or in how photos are changed, end on different sides of the same basin.
-# Its middle is often better than each of them and costs nothing in use. Models of different starts have no
-# such middle.
-#
-# Source: Wortsman et al., "Model soups: averaging weights of multiple fine-tuned models improves accuracy without
-# increasing inference time", ICML 2022.
-
-
-_ALIKE = ("backbone", "aggregator", "preprocessing")
-
-
 def mean(models: Sequence[Network]) -> Network:
-    """Average models of one architecture; what is counted, not weighed, is the first's.
+    """Make one model of several that were trained from one start: the mean of their weights.
 
+    Runs that differ in their batches, or in how photos are changed, end on different sides of the same basin. Its
+    middle is often better than each of them and costs nothing in use. Models of different starts have no such middle.
     The mean bears the first one's name, and no calibration: that was of other scores.
+
+    Source: Wortsman et al., "Model soups: averaging weights of multiple fine-tuned models improves accuracy without
+    increasing inference time", ICML 2022.
 
     Args:
         models: Two or more; they stay as they are.
@@ -202,7 +196,7 @@ def mean(models: Sequence[Network]) -> Network:
     names = [f"{model.config.name} ({model.fingerprint})" for model in models]
     first = models[0].config
     for other, name in zip(models, names, strict=True):
-        for part in _ALIKE:
+        for part in ("backbone", "aggregator", "preprocessing"):
             if getattr(other.config, part) != getattr(first, part):
                 raise ModelError(
                     f"{names[0]} and {name} differ in their {part}, so their weights have no mean: give models "
@@ -214,6 +208,7 @@ def mean(models: Sequence[Network]) -> Network:
     states = [model.state_dict() for model in models]
     for key, weight in averaged.state_dict().items():
         if weight.is_floating_point():
+            # In double: the mean of a model with itself is then that model, to the last bit.
             weight.copy_(torch.stack([state[key].to("cpu", torch.float64) for state in states]).mean(dim=0))
         else:  # a batch norm counts its batches too
             weight.copy_(states[0][key])

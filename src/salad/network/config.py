@@ -1,4 +1,7 @@
-"""A whole model as data: a backbone, an aggregator, how photos are prepared for them, how sure it is."""
+"""A whole model as data: a backbone, an aggregator, how photos are prepared for them, what its scores are worth.
+
+Nothing here imports torch. Names of fields and kinds stand in files of others and in fingerprints: none ever changes.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,6 @@ from typing import Any, ClassVar, Literal, get_args
 from salad.errors import ModelError
 from salad.network.aggregator_config import AggregatorConfig, aggregator_kind
 
-# --- What cuts a photo into tokens, as data ---
-
-
 ConvNextSize = Literal["tiny", "base"]
 LiteKind = Literal["lite0", "lite2"]
 
@@ -25,13 +25,13 @@ class ViTConfig:
     """A DINOv2 vision transformer.
 
     Args:
-        width: numbers in a token (d).
-        depth: how many blocks.
-        heads: attention heads; DINOv2's own have width / 64.
-        patch: side of a patch in pixels.
-        grid: side of the square grid the position embeddings were learnt on.
-        registers: register tokens between the class token and the patches (0 or 4).
-        swiglu: whether the blocks' perceptron is the giant model's SwiGLU.
+        width: Numbers in a token (d).
+        depth: How many blocks.
+        heads: Attention heads; DINOv2's own have width / 64.
+        patch: Side of a patch in pixels.
+        grid: Side of the square grid the position embeddings were learnt on.
+        registers: Register tokens between the cls token and the patches (0 or 4).
+        swiglu: Whether the blocks' perceptron is the giant model's SwiGLU.
     """
 
     width: int
@@ -62,7 +62,7 @@ class ResNetConfig:
     """ResNet-50's trunk, cut after `stages` of its 4 stages (3 of them: stride 16, 1024 channels).
 
     Raises:
-        ModelError: there is no such stage.
+        ModelError: If there is no such stage.
     """
 
     stages: int = 3
@@ -78,7 +78,7 @@ class ConvNextConfig:
     """ConvNeXt's trunk, cut after `stages` of its 4 stages (3 of them: stride 16; 384 channels, the base 512).
 
     Raises:
-        ModelError: there is no such size or stage.
+        ModelError: If there is no such size or stage.
     """
 
     size: ConvNextSize = "tiny"
@@ -101,6 +101,7 @@ def _check_stages(name: str, stages: object) -> None:
 
 BackboneConfig = ViTConfig | LiteConfig | ResNetConfig | ConvNextConfig
 
+# By the kinds that stand in `config.json`; the two Lites are one class with different tables.
 BACKBONE_KINDS: dict[str, Any] = {
     "vit": ViTConfig,
     "lite0": LiteConfig,
@@ -130,10 +131,10 @@ class Preprocessing:
     """How a photo becomes the model's input: squeezed (never cropped) to one size, then normalised.
 
     Args:
-        height: pixels.
-        width: pixels.
-        mean: per channel, of values in 0..1.
-        std: per channel, of values in 0..1.
+        height: Pixels.
+        width: Pixels.
+        mean: Of each channel, of values in 0..1.
+        std: Of each channel, of values in 0..1.
         resample: `bilinear` or `bicubic`, both antialiased.
     """
 
@@ -142,6 +143,26 @@ class Preprocessing:
     mean: tuple[float, float, float] = IMAGENET_MEAN
     std: tuple[float, float, float] = IMAGENET_STD
     resample: Resample = "bilinear"
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Preprocessing:
+        """Read what JSON holds of it.
+
+        Raises:
+            ValueError: If a number makes no sense.
+            TypeError: If a setting is missing or unknown.
+        """
+        plain = dict(data)
+        mean, std = (tuple(plain.pop(key)) for key in ("mean", "std"))
+        # A std of 0 or a NaN would pass silently and make every descriptor one that nothing is near to.
+        if len(mean) != 3 or len(std) != 3 or not min(std) > 0 or not all(map(math.isfinite, mean + std)):
+            raise ValueError("mean and std need three numbers each, std above 0")
+        found = cls(mean=mean, std=std, **plain)
+        if not all(isinstance(side, int) and side > 0 for side in (found.height, found.width)):
+            raise ValueError("height and width are whole pixels, at least 1")
+        if found.resample not in get_args(Resample):
+            raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,20 +177,20 @@ class Calibration:
     The defaults stand in for a model nobody has calibrated: they order places sensibly, but are no probabilities.
 
     Args:
-        sharpness: a match weighs exp(sharpness * score).
-        bias: z of no evidence at all.
-        top: weight of the best score.
-        gap: weight of the lead.
-        spread: weight of the scatter, which lowers the confidence.
-        share: weight of the share.
-        radius: factor on the radius of a place, so that it holds the truth in 90 of 100 answers.
-        min_confidence: a place of less is unknown.
-        provenance: which photos these numbers were fitted on.
-        centred: whether the scores are those that leave out what all photos of the index have in common; photos are
+        sharpness: A match weighs exp(sharpness * score).
+        bias: Z of no evidence at all.
+        top: Weight of the best score.
+        gap: Weight of the lead.
+        spread: Weight of the scatter, which lowers the confidence.
+        share: Weight of the share.
+        radius: Factor on the radius of a place, so that it holds the truth in 90 of 100 answers.
+        min_confidence: A place of less is unknown.
+        provenance: Which photos these numbers were fitted on.
+        centred: Whether the scores are those that leave out what all photos of the index have in common; photos are
             searched for by such scores then.
 
     Raises:
-        ModelError: a number is not finite, or out of its range.
+        ModelError: If a number is not finite, or out of its range.
     """
 
     sharpness: float = 20.0
@@ -186,10 +207,10 @@ class Calibration:
     def __post_init__(self) -> None:
         if not isinstance(self.centred, bool):
             raise ModelError(f"centred of the calibration is {self.centred!r}: give true or false")
-        numbers = {
-            name: value for name, value in self.as_dict().items() if name not in ("centred", "provenance")
-        }
-        for name, value in numbers.items():
+        for name, value in self.as_dict().items():
+            if name in ("centred", "provenance"):
+                continue
+            # JSON has NaN and infinity in Python's dialect, and true counts as 1: none of them is a weight.
             real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
             if not real or (value < 0 and name != "bias"):
                 raise ModelError(
@@ -204,6 +225,7 @@ class Calibration:
     def as_dict(self) -> dict[str, Any]:
         """This calibration as JSON holds it; `centred`, which came after the others, only where it is so."""
         settings = dataclasses.asdict(self)
+        # Models that were calibrated before the setting was there read and write as they did.
         if not self.centred:
             del settings["centred"]
         return settings
@@ -213,9 +235,10 @@ class Calibration:
         """Read what `as_dict` wrote.
 
         Raises:
-            ModelError: a number is missing, unknown or out of its range.
+            ModelError: If a number is missing, unknown or out of its range.
         """
         known = {field.name for field in dataclasses.fields(cls)}
+        # Nothing less either: a default in place of a number that was lost would pass for a measured one.
         if not isinstance(data, dict) or {"centred", *data} != known:
             raise ModelError(f"a calibration holds {', '.join(sorted(known))}, nothing else and nothing less")
         return cls(**data)
@@ -249,9 +272,11 @@ class ModelConfig:
         """
         settings = self.as_dict()
         counted = {part: settings[part] for part in ("backbone", "aggregator", "preprocessing")}
+        # Indexes of the field hold such fingerprints: a change of one byte below would make strangers of all of them.
         digest = hashlib.sha256(json.dumps(counted, sort_keys=True).encode())
         for key, value in sorted(weights.items()):
             digest.update(f"{key}{tuple(value.shape)}".encode())
+            # Little-endian on every machine, and one precision: a copy of a model in float16 is told by what it rounds.
             digest.update(value.astype("<f4" if value.dtype.kind == "f" else "<i8").tobytes())
         return digest.hexdigest()[:16]
 
@@ -269,17 +294,17 @@ class ModelConfig:
         """Read what `as_dict` wrote.
 
         Raises:
-            ModelError: a part is missing, of an unknown kind, or has settings this version does not know.
+            ModelError: If a part is missing, of an unknown kind, or has settings this version does not know.
         """
         try:
             rest = dict(data)
-            backbone = _backbone(rest.pop("backbone"))
-            settings = dict(rest.pop("aggregator"))
+            backbone, settings = _backbone(rest.pop("backbone")), dict(rest.pop("aggregator"))
             aggregator = aggregator_kind(settings.get("kind")).from_settings(settings)
-            preprocessing = _preprocessing(rest.pop("preprocessing"))
+            preprocessing = Preprocessing.from_dict(rest.pop("preprocessing"))
             if rest.get("calibration") is not None:
                 rest["calibration"] = Calibration.from_dict(rest["calibration"])
             return cls(backbone=backbone, aggregator=aggregator, preprocessing=preprocessing, **rest)
+        # A file of any shape may lie there: a list in place of an object, a number in place of a text.
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ModelError(
                 f"the model's configuration cannot be read ({error}); "
@@ -293,16 +318,3 @@ def _backbone(settings: dict[str, Any]) -> BackboneConfig:
         raise ValueError(f"kind {kind!r} is unknown; known are {', '.join(BACKBONE_KINDS)}")
     config: BackboneConfig = BACKBONE_KINDS[kind](**settings)
     return config
-
-
-def _preprocessing(settings: dict[str, Any]) -> Preprocessing:
-    plain = dict(settings)
-    mean, std = (tuple(plain.pop(key)) for key in ("mean", "std"))
-    if len(mean) != 3 or len(std) != 3 or not min(std) > 0 or not all(map(math.isfinite, mean + std)):
-        raise ValueError("mean and std need three numbers each, std above 0")
-    found = Preprocessing(mean=mean, std=std, **plain)
-    if not all(isinstance(side, int) and side > 0 for side in (found.height, found.width)):
-        raise ValueError("height and width are whole pixels, at least 1")
-    if found.resample not in get_args(Resample):
-        raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
-    return found

@@ -36,7 +36,7 @@ def parameters(module: nn.Module, *, trained_only: bool = False) -> int:
 def size_of(name: str, width: int) -> Size:
     """The size of one of `compared_aggregators` for tokens of `width` numbers, without making its weights."""
     config = compared_aggregators(width)[name]
-    with torch.device("meta"):
+    with torch.device("meta"):  # shapes without numbers: the largest has 201 million of them
         return Size(parameters(build_aggregator(config), trained_only=True), config.dim)
 
 

@@ -25,6 +25,8 @@ from salad.network.backbones.base import build_backbone
 from salad.network.config import ModelConfig, Output
 from salad.network.tokens import Tokens
 
+Bytes = UInt8[np.ndarray, "batch height width 3"] | UInt8[Tensor, "batch height width 3"]
+
 
 class Network(nn.Module):
     """A backbone and an aggregator, with the normalisation they were trained with.
@@ -70,21 +72,19 @@ class Network(nn.Module):
     def tokens(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised images into tokens."""
         stride = self.backbone.stride
+        # At least one token a side: a tiny photo is stretched, and too few tokens are the aggregator's to refuse.
         size = [max(1, round(side / stride)) * stride for side in images.shape[-2:]]
         if size != list(images.shape[-2:]):
             images = F.interpolate(images, size=size, mode="bilinear", antialias=True)
         tokens: Tokens = self.backbone(images)
         return tokens
 
-    def normalise(
-        self, photos: UInt8[Tensor, "batch height width 3"]
-    ) -> Float[Tensor, "batch 3 height width"]:
-        """Photos as they are decoded -> images as `forward` takes them."""
-        return (photos.permute(0, 3, 1, 2).float() / 255 - self.mean) / self.std
+    def normalise(self, photos: Bytes) -> Float[Tensor, "batch 3 height width"]:
+        """Photos as they are decoded -> images as `forward` takes them, where the weights are."""
+        images = torch.as_tensor(photos, device=self.device).permute(0, 3, 1, 2)
+        return (images.float() / 255 - self.mean) / self.std
 
-    def outputs(
-        self, photos: UInt8[Tensor, "batch height width 3"], names: Sequence[Output]
-    ) -> dict[Output, Float[Tensor, "batch ..."]]:
+    def outputs(self, photos: Bytes, names: Sequence[Output]) -> dict[Output, Float[Tensor, "batch ..."]]:
         """What an engine gives (`salad.models.engines`), each asked for by its name; normalisation is part of it."""
         tokens = self.tokens(self.normalise(photos))
         made: dict[Output, Tensor] = {}
@@ -95,13 +95,14 @@ class Network(nn.Module):
                 made[name] = tokens.patches.reshape(len(photos), *tokens.grid, self.backbone.width)
             elif name == "cls":
                 made[name] = tokens.cls
-            else:
+            else:  # only configurations that say `has_plan` come here, whose modules have one
                 plan: Tensor = cast(Any, self.aggregator).plan(tokens)
                 made[name] = plan.reshape(*plan.shape[:2], *tokens.grid)
         return made
 
     def weights(self) -> dict[str, np.ndarray]:
         """The weights and buffers under their serialised names; float32, integers as they are."""
+        # On the processor these are views and no copies: a fingerprint of a large model need not double its memory.
         return {
             key: (value.float() if value.is_floating_point() else value).detach().cpu().numpy()
             for key, value in self.state_dict().items()
@@ -132,7 +133,9 @@ def build(config: ModelConfig, *, seed: int = 0) -> Network:
     Raises:
         ModelError: If the configuration's parts do not fit together.
     """
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(
+        devices=[]
+    ):  # whoever draws numbers outside goes on as if nothing had been built
         torch.manual_seed(seed)
         return Network(config).eval()
 

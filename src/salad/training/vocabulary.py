@@ -19,8 +19,8 @@ from torch.nn import functional as F
 
 from salad.errors import MissingExtraError, ModelError, PhotoError
 from salad.models.describer import Describer, PhotoLike
-from salad.network.aggregator_config import VladConfig
 from salad.network.aggregators.base import Fitted
+from salad.network.baseline_config import VladConfig
 from salad.network.network import Network, build
 
 PER_PHOTO = 100  # tokens taken of a photo where there are photos enough: neighbours say nearly the same

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.network.aggregator_config import BoqConfig
+from salad.network.baseline_config import BoqConfig
 from salad.network.tokens import Tokens
 
 
@@ -23,7 +23,7 @@ class Boq(nn.Module):
         self.config, self.dim = config, config.dim
         self.narrow = nn.Sequential(nn.Linear(config.width, config.channels), nn.LayerNorm(config.channels))
         self.blocks = nn.ModuleList(
-            Block(config.channels, config.queries, config.heads) for _ in range(config.blocks)
+            QueryBlock(config.channels, config.queries, config.heads) for _ in range(config.blocks)
         )
         self.rows = nn.Linear(config.blocks * config.queries, config.rows)
 
@@ -33,11 +33,12 @@ class Boq(nn.Module):
         for block in self.blocks:
             x, answer = block(x)
             answers.append(answer)
+        # Turned round, so that the linear layer mixes the answers of queries and leaves channels apart.
         kept = self.rows(torch.cat(answers, dim=1).transpose(1, 2))
         return F.normalize(kept.flatten(1), dim=1)
 
 
-class Block(nn.Module):
+class QueryBlock(nn.Module):
     """One encoder layer, and the queries that ask what it made of the tokens."""
 
     def __init__(self, channels: int, queries: int, heads: int) -> None:

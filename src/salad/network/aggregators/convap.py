@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.network.aggregator_config import ConvApConfig
+from salad.network.baseline_config import ConvApConfig
 from salad.network.tokens import Tokens
 
 
@@ -32,5 +32,6 @@ def on_grid(
     patches: Float[Tensor, "batch n d"], grid: tuple[int, int], cells: tuple[int, int]
 ) -> Float[Tensor, "batch d rows columns"]:
     """Average the tokens of a grid over the cells of another, which may overlap by a token."""
+    # Cells overlap where the grid does not divide: every cell has a token, however few there are.
     maps = patches.transpose(1, 2)
     return F.adaptive_avg_pool2d(maps.reshape(*maps.shape[:2], *grid), cells)

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.network.aggregator_config import CosPlaceConfig
 from salad.network.aggregators.pooling import generalised_mean
+from salad.network.baseline_config import CosPlaceConfig
 from salad.network.tokens import Tokens
 
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.errors import ModelError
-from salad.network.aggregator_config import MixVprConfig
+from salad.network.baseline_config import MixVprConfig
 from salad.network.tokens import Tokens
 
 
@@ -20,6 +20,7 @@ class MixVpr(nn.Module):
     def __init__(self, config: MixVprConfig) -> None:
         super().__init__()
         self.config, self.dim = config, config.dim
+        # Cells are the columns of its weights: here alone the size of a photo is part of the model.
         cells = config.grid[0] * config.grid[1]
         self.mixers = nn.Sequential(*(Mixer(cells, config.ratio * cells) for _ in range(config.depth)))
         self.channels = nn.Linear(config.width, config.channels)

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.network.aggregator_config import NetVladConfig
 from salad.network.aggregators.vlad import joined, residuals
+from salad.network.baseline_config import NetVladConfig
 from salad.network.tokens import Tokens
 
 RATIO = 100.0  # of a token's largest assignment to its second, on average, at the start: the paper's
@@ -34,10 +34,12 @@ class NetVlad(nn.Module):
         self.score = nn.Linear(config.width, config.clusters)
         self.centroids = nn.Parameter(F.normalize(torch.randn(config.clusters, config.width), dim=1))
         self.linear = nn.Linear(config.clusters * config.width, config.linear) if config.linear else None
+        # Kept with the weights: whoever reads the model knows that it has started already.
         self.register_buffer("fitted", torch.tensor(False))
 
     def forward(self, tokens: Tokens) -> Float[Tensor, "batch dim"]:
         """Describe each photo of the batch by one vector of length 1."""
+        # Of length 1, as the centroids are: an assignment is by direction, and no bright token outweighs the others.
         units = F.normalize(tokens.patches, dim=2)
         weights = self.score(units).softmax(dim=2).to(units.dtype)
         descriptor = joined(residuals(units, weights, self.centroids))

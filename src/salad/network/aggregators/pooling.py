@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.network.aggregator_config import AverageConfig, GemConfig, SceneConfig
+from salad.network.baseline_config import AverageConfig, GemConfig, SceneConfig
 from salad.network.tokens import Tokens
 
 LEAST = 1e-6  # a power needs what is above 0
@@ -54,4 +54,5 @@ def generalised_mean(
     patches: Float[Tensor, "batch n d"], power: Float[Tensor, ""] | float
 ) -> Float[Tensor, "batch d"]:
     """The mean of powers, brought back: 1 is the plain mean, a high power the maximum; below 0 counts as 0."""
+    # Below 0 a broken power has no value, and at 0 its gradient has none.
     return patches.clamp(min=LEAST).pow(power).mean(dim=1).pow(1 / power)

@@ -30,12 +30,14 @@ class Route(nn.Module):
 
     def forward(self, tokens: Tokens) -> Float[Tensor, "batch dim"]:
         """Describe each photo of the batch by one vector of length 1."""
+        # A dot product of two such descriptors is the mean of both parts' cosines, the layout's weighted by weight².
         parts = self.salad(tokens), self.config.weight * self.layout(tokens)
         return F.normalize(torch.cat(parts, dim=1), dim=1)
 
     def train(self, mode: bool = True) -> Self:
         """Set the mode of what learns; a SALAD that is not to change describes as in use, dropout off."""
         super().train(mode)
+        # Beside a model that ships, only the layout learns: with dropout, SALAD's part would be noise to it.
         self.salad.train(mode and any(weight.requires_grad for weight in self.salad.parameters()))
         return self
 

@@ -29,7 +29,12 @@ class Salad(nn.Module):
         d, hidden = config.width, config.hidden
         self.score = _perceptron(d, hidden, config.clusters, dropout=config.dropout)
         self.feature = _perceptron(d, hidden, config.cluster_dim, dropout=config.dropout)
-        self.scene = _scene(d, hidden, config.scene_dim) if config.scene_dim else None
+        self.scene = (  # without dropout: the paper drops numbers of the two token perceptrons alone
+            nn.Sequential(nn.Linear(d, hidden), nn.ReLU(), nn.Linear(hidden, config.scene_dim))
+            if config.scene_dim
+            else None
+        )
+        # One score for all tokens alike. Sinkhorn's plan does not depend on it: its gradient is 0.
         self.dustbin = nn.Parameter(torch.tensor(1.0)) if config.dustbin else None
         pooled = config.scene_dim + config.clusters * config.cluster_dim
         self.linear = nn.Linear(pooled, config.linear) if config.linear else None
@@ -38,7 +43,9 @@ class Salad(nn.Module):
         """Describe each photo of the batch by one vector of length 1."""
         plan = self.plan(tokens)[:, : self.config.clusters]  # what went to the dustbin is forgotten
         features = self.feature(tokens.patches)
+        # Summed as it is multiplied: a tensor [batch, l, m, n] of every token's part would be a thousand times larger.
         clusters = torch.einsum("bnl,bmn->blm", features, plan.to(features.dtype))
+        # Each cluster at length 1, or the ones that took the most tokens would decide alone.
         descriptor = F.normalize(clusters, dim=1).flatten(1)
         if self.scene is not None:
             descriptor = torch.cat([F.normalize(self.scene(tokens.cls), dim=1), descriptor], dim=1)
@@ -68,7 +75,3 @@ class Salad(nn.Module):
 
 def _perceptron(inside: int, hidden: int, out: int, *, dropout: float) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inside, hidden), nn.Dropout(dropout), nn.ReLU(), nn.Linear(hidden, out))
-
-
-def _scene(inside: int, hidden: int, out: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inside, hidden), nn.ReLU(), nn.Linear(hidden, out))

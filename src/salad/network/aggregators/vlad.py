@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.errors import ModelError
-from salad.network.aggregator_config import VladConfig
+from salad.network.baseline_config import VladConfig
 from salad.network.tokens import Tokens
 
 
@@ -29,6 +29,7 @@ class Vlad(nn.Module):
     def __init__(self, config: VladConfig) -> None:
         super().__init__()
         self.config, self.dim = config, config.dim
+        # Buffers and no parameters: kept with the weights and moved with them, but nothing trains them.
         self.register_buffer("vocabulary", torch.zeros(config.clusters, config.width))
         self.register_buffer("fitted", torch.tensor(False))
 
@@ -43,6 +44,7 @@ class Vlad(nn.Module):
                 "this VLAD has no vocabulary yet: make one from the photos of an index with 'salad weights vocabulary'"
             )
         units = F.normalize(tokens.patches, dim=2)
+        # The nearest word: of vectors of length 1, that with the largest u·w - |w|²/2.
         words = (units @ self.vocabulary.T - self.vocabulary.square().sum(dim=1) / 2).argmax(dim=2)
         belongs = F.one_hot(words, self.config.clusters).to(units.dtype)
         return joined(residuals(units, belongs, self.vocabulary))

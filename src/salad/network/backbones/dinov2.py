@@ -32,8 +32,10 @@ class Attention(nn.Module):
     def forward(self, x: Float[Tensor, "batch t d"]) -> Float[Tensor, "batch t d"]:
         """Let every token look at all."""
         batch, tokens, width = x.shape
+        # Published weights hold all queries first, then all keys, then all values, each head after head.
         qkv = self.qkv(x).view(batch, tokens, 3, self.heads, width // self.heads)
         query, key, value = qkv.permute(2, 0, 3, 1, 4)
+        # Fused: the matrix of every token by every other is not held where the device has such a kernel.
         mixed = F.scaled_dot_product_attention(query, key, value)
         out: Tensor = self.proj(mixed.transpose(1, 2).reshape(batch, tokens, width))
         return out
@@ -58,6 +60,7 @@ class SwiGLU(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
+        # Two thirds as wide, for two matrices do the work of one; in eights, as the published weights are.
         hidden = -(-int(4 * width * 2 / 3) // 8) * 8
         self.w12 = nn.Linear(width, 2 * hidden)
         self.w3 = nn.Linear(hidden, width)
@@ -129,6 +132,7 @@ class ViT(Backbone):
                 "model was trained with"
             )
         self.config, self.width, self.stride = config, config.width, config.patch
+        # `mask_token`, which only pretraining needs, is left out: `checkpoints` drops it from published files.
         self.cls_token = nn.Parameter(torch.zeros(1, 1, config.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + config.grid**2, config.width))
         if config.registers:
@@ -145,7 +149,7 @@ class ViT(Backbone):
         x = self._with_positions(embedded.flatten(2).transpose(1, 2), grid)
         for block in self.blocks:
             x = block(x)
-        x = self.norm(x)
+        x = self.norm(x)  # of every token: aggregators take patches and cls token from one scale
         return Tokens(x[:, 1 + self.config.registers :], x[:, 0], grid, self.stride)
 
     def blocks_in_order(self) -> list[list[nn.Module]]:
@@ -163,7 +167,8 @@ class ViT(Backbone):
         first, rest = self.pos_embed[:, :1], self._positions(grid)
         batch = len(patches)
         parts = [(self.cls_token + first).expand(batch, -1, -1)]
-        if self.config.registers:  # registers have no position
+        # Registers stand between cls token and patches and have no position: they are nowhere in the photo.
+        if self.config.registers:
             parts.append(self.register_tokens.expand(batch, -1, -1))
         return torch.cat([*parts, patches + rest.to(patches.dtype)], dim=1)
 
@@ -174,9 +179,12 @@ class ViT(Backbone):
         if grid == (side, side):
             return learnt
         square = learnt.view(1, side, side, -1).permute(0, 3, 1, 2)
+        # The two families were trained with different resampling, and each wants its own: with the other's, tokens
+        # of a photo of 322 pixels are not those that published heads were trained on.
         if self.config.registers:
             resampled = F.interpolate(square, size=grid, mode="bicubic", antialias=True)
         else:
+            # By factors and not by the size, which comes to the same grid but to other weights of the bicubic kernel.
             factors = tuple((cells + OFFSET) / side for cells in grid)
             resampled = F.interpolate(square, scale_factor=factors, mode="bicubic", antialias=False)
         return resampled.flatten(2).transpose(1, 2)

@@ -49,7 +49,7 @@ LITES: dict[LiteKind, tuple[Shape, ...]] = {
 }
 
 
-class Filter(nn.Conv2d):
+class SamePadConv2d(nn.Conv2d):
     """A convolution padded as TensorFlow pads: an odd pixel goes to the right and below."""
 
     def __init__(self, inside: int, out: int, *, kernel: int = 1, stride: int = 1, groups: int = 1) -> None:
@@ -67,6 +67,7 @@ class Filter(nn.Conv2d):
         assert norm.running_var is not None
         scale = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
         weight, bias = self.weight * scale[:, None, None, None], norm.bias - norm.running_mean * scale
+        # torch pads both sides alike, so only an odd excess costs a copy of the tensor.
         down, right = (self._excess(x.shape[axis]) for axis in (2, 3))
         if down % 2 or right % 2:
             x = F.pad(x, [right // 2, right - right // 2, down // 2, down - down // 2])
@@ -74,6 +75,7 @@ class Filter(nn.Conv2d):
         return F.conv2d(x, weight, bias, self.stride, (down // 2, right // 2), groups=self.groups)
 
     def _excess(self, size: int) -> int:
+        # TensorFlow gives ceil(size / stride) outputs; this is what the last window wants beyond the last pixel.
         stride, kernel = self.stride[0], self.kernel_size[0]
         return max((-(-size // stride) - 1) * stride + kernel - size, 0)
 
@@ -88,17 +90,20 @@ class InvertedResidual(nn.Module):
     def __init__(self, inside: int, shape: Shape) -> None:
         super().__init__()
         wide = inside * shape.expand
-        self._expand_conv = Filter(inside, wide) if shape.expand > 1 else None
+        self._expand_conv = SamePadConv2d(inside, wide) if shape.expand > 1 else None
         self._bn0 = _norm(wide) if shape.expand > 1 else None
-        self._depthwise_conv = Filter(wide, wide, kernel=shape.kernel, stride=shape.stride, groups=wide)
+        self._depthwise_conv = SamePadConv2d(
+            wide, wide, kernel=shape.kernel, stride=shape.stride, groups=wide
+        )
         self._bn1 = _norm(wide)
-        self._project_conv = Filter(wide, shape.out)
+        self._project_conv = SamePadConv2d(wide, shape.out)
         self._bn2 = _norm(shape.out)
         self.residual = shape.stride == 1 and inside == shape.out
 
     def forward(self, x: Float[Tensor, "batch c h w"]) -> Float[Tensor, "batch c2 h2 w2"]:
         """One block."""
         wide = x
+        # In place: these are the widest tensors, and a ReLU's gradient needs its output alone.
         if self._expand_conv is not None and self._bn0 is not None:
             wide = F.relu6(self._expand_conv.normalised(wide, self._bn0), inplace=True)
         wide = F.relu6(self._depthwise_conv.normalised(wide, self._bn1), inplace=True)
@@ -123,15 +128,17 @@ class Lite(Backbone):
             raise ModelError(f"blocks is {config.blocks}, but EfficientNet-{name} has 1 to {len(every)}")
         shapes = every[: config.blocks]
         inputs = (STEM, *(shape.out for shape in shapes))
-        self.config, self.width, self.stride = config, shapes[-1].out, 2
+        self.config, self.width, self.stride = config, shapes[-1].out, 2  # the stem halves the grid once
         for shape in shapes:
             self.stride *= shape.stride
-        self._conv_stem = Filter(3, STEM, kernel=3, stride=2)
+        # Names with underscores are those of the published files.
+        self._conv_stem = SamePadConv2d(3, STEM, kernel=3, stride=2)
         self._bn0 = _norm(STEM)
         self._blocks = nn.ModuleList(map(InvertedResidual, inputs, shapes))
 
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
+        # A photo's tokens are its own, since the statistics are fixed: a batch may be cut as the cache likes it.
         if images.device.type == "cpu" and len(images) > AT_ONCE:
             parts = [self(some) for some in torch.split(images, AT_ONCE)]
             patches, cls = (torch.cat(same) for same in zip(*(part[:2] for part in parts), strict=True))

@@ -68,9 +68,10 @@ class ResNet(Staged):
         )
         self.config, self.width = config, widths[-1]
         self.stride = FIRST_STRIDE * 2 ** (config.stages - 1)
+        # What pools and classifies is left out, so that a state dict holds what the tokens come from and no more.
         self.embedder = whole.embedder
         self.encoder = nn.ModuleDict({"stages": whole.encoder.stages})
-        self.train(self.training)
+        self.train(self.training)  # from the start: nobody need call `eval` for the normalisation's sake
 
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
@@ -112,7 +113,9 @@ class ConvNext(Staged):
         self.stride = FIRST_STRIDE * 2 ** (config.stages - 1)
         self.embeddings = whole.embeddings
         self.encoder = nn.ModuleDict({"stages": whole.encoder.stages})
-        self.norm = nn.LayerNorm(self.width, eps=1e-6)
+        self.norm = nn.LayerNorm(
+            self.width, eps=1e-6
+        )  # as wide as the cut, where the whole model's is of its end
 
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
@@ -148,6 +151,7 @@ def own_names(backbone: nn.Module, tensors: Mapping[str, Tensor]) -> dict[str, T
     """
     if not isinstance(backbone, ResNet | ConvNext):
         return dict(tensors)
+    # A file of the whole model holds stages beyond the cut and a classifier: what is not wanted is left where it is.
     wanted = backbone.state_dict()
     found = {_own_name(key): value for key, value in tensors.items()}
     norm = found.get("norm.weight")
