@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+import salad
 from benchmarks.accuracy.reliability_diagram import diagram
 from benchmarks.machine import machine
 from benchmarks.options import DATA, benchmark_parser
-
-import salad
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.geo import GeoPoint, metres

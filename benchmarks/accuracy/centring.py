@@ -17,8 +17,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from benchmarks.options import SHIPPED, TRAIN, benchmark_parser
 
+from benchmarks.options import SHIPPED, TRAIN, benchmark_parser
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.models.model_folder import load

@@ -16,7 +16,6 @@ from tempfile import TemporaryDirectory
 from benchmarks.accuracy.held_out import told
 from benchmarks.accuracy.recall import SETS
 from benchmarks.options import DATA, benchmark_parser
-
 from salad.datasets.places import find_places
 from salad.evaluation.evaluate import evaluate
 from salad.models.describer import Describer

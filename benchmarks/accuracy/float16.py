@@ -15,11 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+
+import salad
 from benchmarks.accuracy.recall import SETS, describers
 from benchmarks.machine import machine
 from benchmarks.options import EVAL, benchmark_parser
-
-import salad
 from salad.images.photo import Photo
 from salad.index.vectors import storable
 from salad.models.describer import DescriberLike

@@ -17,9 +17,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 from benchmarks.accuracy.held_out import drawn, leave_out
 from benchmarks.options import RUNS, TRAIN, benchmark_parser
-
 from salad.datasets.training_place import TrainingPlace
 from salad.models.model_folder import load
 from salad.network.aggregator_config import SaladConfig

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.options import SHIPPED, TRAIN, benchmark_parser
-
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.models.model_folder import load

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+
 from benchmarks.machine import machine
 from benchmarks.options import EVAL, RUNS, TRAIN, benchmark_parser
-
 from salad.datasets.benchmark import Benchmark, from_radius
 from salad.evaluation.evaluate import evaluate
 from salad.models.describer import Describer

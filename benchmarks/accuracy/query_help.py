@@ -13,13 +13,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from PIL import Image, ImageOps
+
+import salad
 from benchmarks.accuracy.calibration import APART_M, SEED, Question, Shown, fitting, held_out
 from benchmarks.accuracy.centring import unit
 from benchmarks.machine import machine
 from benchmarks.options import DATA, benchmark_parser
-from PIL import Image, ImageOps
-
-import salad
 from salad.geo import metres
 from salad.images.decode import open_rgb
 from salad.localize.calibration import Case, calibrate, log_loss

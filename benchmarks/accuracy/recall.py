@@ -19,7 +19,6 @@ from typing import Any
 
 from benchmarks.machine import machine
 from benchmarks.options import EVAL, benchmark_parser
-
 from salad.cli.compare import benchmark_by_rule
 from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError

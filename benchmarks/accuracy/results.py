@@ -23,7 +23,6 @@ from pathlib import Path
 from benchmarks.accuracy.recall import SETS as EVERY
 from benchmarks.accuracy.results_sets import section
 from benchmarks.options import EVAL, ROOT, RUNS, TRAIN, benchmark_parser
-
 from salad.ablation.comparison_tables import write_tables
 from salad.ablation.grids import GRIDS, grid_rows
 from salad.errors import SaladError

@@ -15,10 +15,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from benchmarks.accuracy.held_out import told
-from benchmarks.options import TRAIN, benchmark_parser
 from jaxtyping import Float32
 
+from benchmarks.accuracy.held_out import told
+from benchmarks.options import TRAIN, benchmark_parser
 from salad.datasets.places import find_places
 from salad.models.describer import Describer
 from salad.models.model_folder import load

@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+
 from benchmarks.accuracy.held_out import drawn, leave_out, told
 from benchmarks.options import RUNS, TRAIN, benchmark_parser
-
 from salad.models.describer import Describer
 from salad.network.network import build
 from salad.training.batches import ImageCache

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from benchmarks.options import TRAIN
 from numpy.typing import NDArray
 from torch.nn import functional as F
 
+from benchmarks.options import TRAIN
 from salad.datasets.places import find_places
 from salad.models.describer import Describer
 from salad.network.aggregator_config import compared_aggregators

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.paper.figures import SOURCE, Claim
-
 from salad.datasets.protocols import PROTOCOLS
 from salad.evaluation.bootstrap import Interval
 from salad.evaluation.result import Result

@@ -32,7 +32,6 @@ from benchmarks.paper.figures import METHODS, first, protocols
 from benchmarks.paper.page import Figure, Judged, Report
 from benchmarks.paper.rows import FULL, Row, check_given, rows, unlike
 from benchmarks.paper.sets import find_set
-
 from salad.cli import terminal
 from salad.cli.arguments import positive
 from salad.datasets.benchmark import Benchmark

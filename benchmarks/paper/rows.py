@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.paper.figures import DEPTH, SIDE, WIDTH, Claim, claim, first
-
 from salad.ablation.grids import GRIDS
 from salad.ablation.run_result import read_result
 from salad.errors import BenchmarkError, WeightsError

@@ -12,22 +12,17 @@ of its own, the highest resident memory above what it was once model and inputs 
 
 from __future__ import annotations
 
-import datetime
 import json
-import multiprocessing
-import resource
-import statistics
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from benchmarks.machine import machine
-from benchmarks.options import benchmark_parser
 from torch import Tensor
 from torch.nn import functional as F
 
+from benchmarks.machine import conditions, in_a_line, in_fresh_process, medians, peak_memory, turns
+from benchmarks.options import benchmark_parser
 from salad.network.aggregator_config import PRESETS
 from salad.network.aggregators.salad import Salad
 from salad.network.tokens import Tokens
@@ -81,48 +76,23 @@ def setting(batch: int) -> tuple[Salad, Tokens]:
     return model, Tokens(patches, scene, (SIDE, SIDE), 14)
 
 
-def times(run: Callable[[str], Tensor], *, rounds: int) -> dict[str, float]:
-    """Median milliseconds of each way, taking turns so that whatever else the machine does falls on all.
-
-    It is the processor's time divided by the threads: a busy machine would only stretch the clock's.
-    """
-    seen: dict[str, list[float]] = {way: [] for way in SUMS}
-    for turn in range(rounds + 1):
-        for way in SUMS:
-            begun = time.process_time()
-            run(way)
-            if turn:  # the first warms up
-                seen[way].append(1000 * (time.process_time() - begun) / torch.get_num_threads())
-    return {way: statistics.median(each) for way, each in seen.items()}
-
-
-def peak(way: str, batch: int, threads: int) -> float:
-    """Mebibytes that one way needs beyond model and inputs; in a fresh process, since a peak never falls."""
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        return pool.apply(_peak, (way, batch, threads))
+def milliseconds(run: Callable[[str], Tensor], *, rounds: int) -> dict[str, float]:
+    """Median of each way, by the processor's time over the threads: a busy machine would stretch the clock's."""
+    ways = {way: lambda _, way=way: run(way) for way in SUMS}
+    spent = medians(turns(ways, rounds=rounds, clock=time.process_time))
+    return {way: each / torch.get_num_threads() for way, each in spent.items()}
 
 
 @torch.inference_mode()
-def _peak(way: str, batch: int, threads: int) -> float:
+def memory(way: str, batch: int, threads: int) -> float:
+    """Mebibytes that one way needs beyond model and inputs; for a fresh process."""
     torch.set_num_threads(threads)
     model, tokens = setting(batch)
     small = Tokens(tokens.patches[:1, :81].clone(), tokens.cls[:1], (9, 9), 14)
     aggregate(model, small, way)  # brings in the libraries' code, which is nobody's tensors
-    before = _highest_resident()
+    before = peak_memory()
     aggregate(model, tokens, way)
-    return max(_highest_resident() - before, 0.1)
-
-
-def _highest_resident() -> float:
-    status = Path("/proc/self/status")
-    if status.is_file():  # ru_maxrss would remember the parent's memory there
-        kibibytes = next(
-            line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM")
-        )
-        return int(kibibytes) / 2**10
-    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes there, kibibytes elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return max((peak_memory() - before) / 2**20, 0.1)
 
 
 @torch.inference_mode()
@@ -132,15 +102,15 @@ def measure(*, batch: int, rounds: int) -> dict[str, dict[str, float]]:
     for way in SUMS:
         torch.testing.assert_close(model(tokens), aggregate(model, tokens, way), rtol=0, atol=1e-5)
     # memory first: a parent that has grown would show in its children
-    memory = {way: peak(way, batch, torch.get_num_threads()) for way in SUMS}
+    needed = {way: in_fresh_process(memory, way, batch, torch.get_num_threads()) for way in SUMS}
     features, plan = model.feature(tokens.patches), model.plan(tokens)[:, :-1].contiguous()
     return {
-        "aggregator, ms": times(lambda way: aggregate(model, tokens, way), rounds=rounds),
-        "in bfloat16, ms": times(
+        "aggregator, ms": milliseconds(lambda way: aggregate(model, tokens, way), rounds=rounds),
+        "in bfloat16, ms": milliseconds(
             lambda way: _in_bfloat16(lambda: aggregate(model, tokens, way)), rounds=rounds
         ),
-        "summing alone, ms": times(lambda way: SUMS[way](features, plan), rounds=rounds),
-        "peak memory, MiB": memory,
+        "summing alone, ms": milliseconds(lambda way: SUMS[way](features, plan), rounds=rounds),
+        "peak memory, MiB": needed,
     }
 
 
@@ -164,17 +134,15 @@ def main() -> None:
     asked = parser.parse_args()
     torch.set_num_threads(asked.threads)
     figures = measure(batch=asked.batch, rounds=asked.rounds)
-    facts = {
-        "machine": machine(),
-        "threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-        "date": datetime.date.today().isoformat(),
-        "seed": SEED,
-        "batch": asked.batch,
-        "tokens": SIDE * SIDE,
-        "rounds": asked.rounds,
-    }
-    print(", ".join(f"{key} {value}" for key, value in facts.items()))
+    facts = conditions(
+        "torch",
+        seed=SEED,
+        threads=torch.get_num_threads(),
+        batch=asked.batch,
+        tokens=SIDE * SIDE,
+        rounds=asked.rounds,
+    )
+    print(in_a_line(facts))
     for what, each in figures.items():
         print(f"{what:18} " + "   ".join(f"{way} {value:8.2f}" for way, value in each.items()))
     for other in ("lean", "repeated"):

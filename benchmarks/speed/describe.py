@@ -8,29 +8,20 @@ the rounds is shown; compare them with one another rather than with another mach
 
 from __future__ import annotations
 
-import datetime
-import statistics
 import tempfile
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import torch
-from benchmarks.machine import machine
-from benchmarks.options import benchmark_parser
 
 import salad
+from benchmarks.machine import conditions, in_a_line, medians, turns
+from benchmarks.options import benchmark_parser
 from salad.demo.town.town import draw_town
 from salad.images.decode import decode
 
 SEED, ROUNDS = 7, 5
-
-
-def milliseconds(run: Callable[[], object], photos: int) -> float:
-    """Of the clock, for each photo."""
-    begun = time.perf_counter()
-    run()
-    return 1000 * (time.perf_counter() - begun) / photos
 
 
 def main() -> None:
@@ -43,25 +34,27 @@ def main() -> None:
     models = [salad.load(name) for name in asked.models]
     with tempfile.TemporaryDirectory() as folder:
         paths = draw_town(Path(folder), seed=SEED, references=asked.photos, queries=1).references
-        seen: dict[str, list[float]] = {}
-        for turn in range(ROUNDS + 1):
-            for model in models:
-                size = model.preprocessing
-                pixels = [decode(path, size.height, size.width, size.resample) for path in paths]
-                for what, run in (
-                    ("decode and squeeze", lambda size=size: [
-                        decode(path, size.height, size.width, size.resample) for path in paths
-                    ]),
-                    ("describe", lambda model=model, pixels=pixels: model.describe(pixels)),
-                    ("describe one by one", lambda model=model, pixels=pixels: model.describe(pixels, batch_size=1)),
-                ):  # fmt: skip
-                    spent = milliseconds(run, len(paths))
-                    if turn:  # the first warms up
-                        seen.setdefault(f"{model.name}: {what}", []).append(spent)
-    about = f"{machine()}, {asked.threads} threads, torch {torch.__version__}, {datetime.date.today()}, seed {SEED}"
-    print(f"{about}, {asked.photos} photos of 480 x 360, median of {ROUNDS} rounds")
-    for what, each in seen.items():
-        print(f"{what:<45} {statistics.median(each):7.1f} ms a photo")
+        ways: dict[str, Callable[[int], object]] = {}
+        for model in models:
+            size = model.preprocessing
+            decoded = partial(decode, height=size.height, width=size.width, resample=size.resample)
+            pixels = [decoded(path) for path in paths]
+            ways |= {
+                f"{model.name}: decode and squeeze": lambda _, decoded=decoded: [
+                    decoded(path) for path in paths
+                ],
+                f"{model.name}: describe": lambda _, model=model, pixels=pixels: model.describe(pixels),
+                f"{model.name}: describe one by one": lambda _, model=model, pixels=pixels: model.describe(
+                    pixels, batch_size=1
+                ),
+            }
+        spent = medians(turns(ways, rounds=ROUNDS))
+    told = conditions(
+        "torch", seed=SEED, threads=asked.threads, photos=f"{asked.photos} of 480 x 360", rounds=ROUNDS
+    )
+    print(in_a_line(told))
+    for way, each in spent.items():
+        print(f"{way:<45} {each / asked.photos:7.1f} ms a photo")
 
 
 if __name__ == "__main__":

@@ -10,16 +10,15 @@ the noisy double of a reference that must come first: figures of a wrong ranking
 from __future__ import annotations
 
 import json
-import platform
-import resource
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from benchmarks.options import benchmark_parser
 
+from benchmarks.machine import conditions, peak_memory
+from benchmarks.options import benchmark_parser
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.compact_lists import PhotoList, Ragged
 from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors
@@ -47,7 +46,7 @@ def main() -> None:
 def measure(folder: Path, references: int, queries: int, dim: int) -> dict[str, object]:
     """Make up a set, judge it, and say what that took."""
     right = made_up(folder, references, queries, dim)
-    before = peak_mb()
+    before = peak_memory()
     benchmark = Benchmark(
         "made up",
         "made up",
@@ -71,10 +70,9 @@ def measure(folder: Path, references: int, queries: int, dim: int) -> dict[str, 
         "dim": dim,
         "seconds": round(time.perf_counter() - began, 1),
         "seconds of them ranking": round(result.seconds, 1),
-        "peak MB": round(peak_mb()),
-        "peak MB before": round(before),
-        "machine": platform.processor() or platform.machine(),
-        "seed": SEED,
+        "peak MB": round(peak_memory() / 1e6),
+        "peak MB before": round(before / 1e6),
+        **conditions("numpy", seed=SEED),
     }
 
 
@@ -97,12 +95,6 @@ def made_up(folder: Path, references: int, queries: int, dim: int) -> np.ndarray
 def unit(rows: np.ndarray) -> np.ndarray:
     """Rows at length 1."""
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
-def peak_mb() -> float:
-    """The most memory this process has held so far."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 if __name__ == "__main__":

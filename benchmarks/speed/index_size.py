@@ -14,21 +14,15 @@ Each size is measured in processes of its own, so that the number of threads hol
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
-import multiprocessing
 import os
-import resource
 import shutil
-import statistics
-import sys
 import tempfile
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from benchmarks.machine import machine
+from benchmarks.machine import conditions, in_a_line, in_fresh_process, installed, medians, peak_memory, turns
 from benchmarks.options import benchmark_parser
 from benchmarks.speed.index_ways import (
     BATCH,
@@ -41,8 +35,6 @@ from benchmarks.speed.index_ways import (
     batches,
     opened,
     queries,
-    release,
-    seconds,
     set_threads,
 )
 
@@ -71,22 +63,22 @@ def measure(count: int, dim: int, folder: Path, rounds: int, threads: int) -> Fi
     for name, top in tops.items():
         figures[name]["agreed"] = sum(a == b for a, b in zip(top, tops["salad"], strict=True))
     for questions, what in ((1, ONE), (QUERIES, MANY)):
-        for name, taken in turns(ways, asked, questions, rounds).items():
-            figures[name][what] = 1000 * statistics.median(taken)
+        spent = medians(turns(asking(ways, asked, questions), rounds=rounds, settle=SETTLE))
+        for name, milliseconds in spent.items():
+            figures[name][what] = milliseconds
     for name in figures:
         figures[name]["disk, MiB"] = ways.pop(name).save(folder / name) / 2**20
     return figures
 
 
-def turns(ways: Mapping[str, Way], asked: Floats, questions: int, rounds: int) -> dict[str, list[float]]:
-    """Seconds of each round; each round asks other queries where it asks fewer than there are."""
-    taken: dict[str, list[float]] = {name: [] for name in ways}
-    for turn in range(rounds):
+def asking(ways: Mapping[str, Way], asked: Floats, questions: int) -> dict[str, Callable[[int], object]]:
+    """Each way asked as many questions at once; each round asks others, where that is fewer than there are."""
+
+    def ask(way: Way, turn: int) -> object:
         low = turn * questions % QUERIES
-        for name, way in ways.items():
-            time.sleep(SETTLE)
-            taken[name].append(seconds(lambda way=way, low=low: way.top(asked[low : low + questions])))
-    return taken
+        return way.top(asked[low : low + questions])
+
+    return {name: partial(ask, way) for name, way in ways.items()}
 
 
 def fitting(count: int, dim: int) -> list[str]:
@@ -94,7 +86,7 @@ def fitting(count: int, dim: int) -> list[str]:
     matrix, free = count * dim * 4, available()
     ways, need = ["salad"], matrix / 2  # what the system keeps of our file, so that nobody waits for the disk
     for name, more in (("faiss flat", 1.5 * matrix), ("numpy", matrix)):
-        if name == "faiss flat" and release("faiss-cpu") == "none":
+        if name == "faiss flat" and installed("faiss-cpu") is None:
             print("faiss flat: passed over, it is not installed (pip install faiss-cpu)", flush=True)
         elif need + more > 0.95 * free:
             spare = f"it needs {more / 2**30:.1f} GiB and {(free - need) / 2**30:.1f} GiB are left"
@@ -117,22 +109,12 @@ def memory(name: str, path: Path, dim: int, threads: int) -> tuple[float, float]
     """Highest resident mebibytes before and after opening and searching; in a process of its own."""
     set_threads(name, threads)
     asked = queries(dim)
-    before = highest()
+    before = peak_memory() / 2**20
     run = opened(name, path)
     for _ in range(2):
         run(asked[:1])
         run(asked)
-    return before, highest()
-
-
-def highest() -> float:
-    """The highest resident memory of this process so far, in mebibytes."""
-    status = Path("/proc/self/status")
-    if status.is_file():  # ru_maxrss would remember the parent's memory there
-        lines = status.read_text().splitlines()
-        return int(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 2**10
-    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes there, kibibytes elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return before, peak_memory() / 2**20
 
 
 # --- printing -------------------------------------------------------------------------------
@@ -140,12 +122,9 @@ def highest() -> float:
 
 def one_size(count: int, dim: int, folder: Path, asked: argparse.Namespace) -> Figures:
     """Measure a size in fresh processes and print its lines."""
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        figures: Figures = pool.apply(measure, (count, dim, folder, asked.rounds, asked.threads))
+    figures = in_fresh_process(measure, count, dim, folder, asked.rounds, asked.threads)
     for name, found in figures.items():
-        with context.Pool(1) as pool:
-            before, peak = pool.apply(memory, (name, folder / name, dim, asked.threads))
+        before, peak = in_fresh_process(memory, name, folder / name, dim, asked.threads)
         found["memory, MiB"], found["memory before, MiB"] = peak, before
         if name != "salad":
             (folder / name).unlink()
@@ -174,13 +153,6 @@ def _told(met: bool) -> str:
     return "met" if met else "missed"
 
 
-def facts(asked: argparse.Namespace) -> dict[str, Any]:
-    """What is needed to repeat a figure."""
-    packages = {name: release(name) for name in ("torch", "numpy", "faiss-cpu")}
-    given = {"threads": asked.threads, "seed": SEED, "rounds": asked.rounds, "batch": BATCH, "k": K}
-    return {"machine": machine(), "date": datetime.date.today().isoformat(), **packages, **given}
-
-
 def parsed() -> argparse.Namespace:
     parser = benchmark_parser(__doc__)
     parser.add_argument("--sizes", nargs="+", default=SIZES, metavar="DIMxPHOTOS")
@@ -196,8 +168,15 @@ def main() -> None:
     asked = parsed()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(asked.threads)  # read by the processes that measure, as they start
-    told: dict[str, Any] = facts(asked)
-    print(", ".join(f"{key} {value}" for key, value in told.items()) + "\n")
+    told = conditions(
+        *("numpy", "faiss-cpu", "numkong"),
+        seed=SEED,
+        threads=asked.threads,
+        rounds=asked.rounds,
+        batch=BATCH,
+        k=K,
+    )
+    print(in_a_line(told) + "\n")
     print(
         f"| dim | photos | way | rows added a second | {ONE} | {MANY} | peak memory, MiB (before opening) | "
         "disk, MiB | same first answer |\n" + "|---" * 9 + "|"

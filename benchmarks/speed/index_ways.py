@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -172,11 +171,3 @@ def set_threads(name: str, threads: int) -> None:
         import faiss
 
         faiss.omp_set_num_threads(threads)
-
-
-def release(package: str) -> str:
-    """The version that is installed, or "none"."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"

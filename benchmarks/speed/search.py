@@ -1,7 +1,7 @@
 """How long an exact search takes, by NumKong's kernels and by plain numpy; and how much memory, of how many rows.
 
-    python benchmarks/speed/search.py [--rows 60000] [--dim 2176] [--queries 1 100] [-k 5] [--threads 1] [--rounds 5]
-    python benchmarks/speed/search.py --rows 1000000 --dim 256 --no-numpy
+    python -m benchmarks.speed.search [--rows 60000] [--dim 2176] [--queries 1 100] [-k 5] [--threads 1] [--rounds 5]
+    python -m benchmarks.speed.search --rows 1000000 --dim 256 --no-numpy
 
 Rows of length 1 are made up, written to a file of float16 in a temporary folder, as an index keeps them, and searched
 there. Both ways take turns, and the best of several rounds counts: a busy machine then harms both alike. The first
@@ -10,11 +10,6 @@ search of all, which finds nothing in memory, is told apart. What both find must
 
 from __future__ import annotations
 
-import argparse
-import datetime
-import os
-import platform
-import resource
 import sys
 import tempfile
 import time
@@ -23,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.machine import conditions, in_a_line, peak_memory, turns
+from benchmarks.options import benchmark_parser
 from salad.index.vectors import FileRows
 from salad.search.base import Hits
 from salad.search.exact import ExactSearcher
@@ -32,9 +29,7 @@ _STEP = 2000  # rows made up, or multiplied by numpy, at once
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--rows", type=int, default=60_000)
     parser.add_argument("--dim", type=int, default=2176)
     parser.add_argument("--queries", type=int, nargs="+", default=[1, 100])
@@ -45,31 +40,31 @@ def main() -> None:
         "--no-numpy", action="store_true", help="leave numpy out, which takes ten times as long"
     )
     given = parser.parse_args()
-    print(
-        f"{_processor()}, {os.cpu_count()} cores, {datetime.date.today()}, seed {SEED}: {given.rows} rows of "
-        f"{given.dim}, k = {given.k}, threads {given.threads}, best of {given.rounds} rounds"
-    )
+    print(in_a_line(conditions("numkong", "numpy", seed=SEED, **vars(given))))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "rows.f16")
         made_up(path, given.rows, given.dim)
         rows = FileRows(path, rows=given.rows, dim=given.dim)
         queries = unit(np.random.default_rng(SEED + 1), max(given.queries), given.dim)
-        before = peak_mb()
+        before = peak_memory()
         searcher = ExactSearcher(rows, threads=given.threads)
         began = time.perf_counter()
         searcher.search(queries[:1], k=given.k)
-        print(f"first search: {1e3 * (time.perf_counter() - began):.1f} ms; memory {before:.0f} MB before")
+        print(
+            f"first search: {1e3 * (time.perf_counter() - began):.1f} ms; memory {before / 1e6:.0f} MB before"
+        )
         for count in given.queries:
-            ways: dict[str, Callable[[], Hits]] = {
-                "NumKong": lambda asked=queries[:count]: swept(searcher, rows, asked, given.k)
+            ways: dict[str, Callable[[int], Hits]] = {
+                "NumKong": lambda _, asked=queries[:count]: swept(searcher, rows, asked, given.k)
             }
             if not given.no_numpy:
-                ways["numpy"] = lambda asked=queries[:count]: plain(rows, asked, given.k)
-            best, found = interleaved(ways, given.rounds)
+                ways["numpy"] = lambda _, asked=queries[:count]: plain(rows, asked, given.k)
+            found = {way: search(0) for way, search in ways.items()}
             if len(found) > 1 and not np.array_equal(found["NumKong"].rows, found["numpy"].rows):
                 sys.exit("the two find different rows")
-            figures = ", ".join(f"{way} {1e3 * seconds / count:.2f}" for way, seconds in best.items())
-            print(f"{count} queries, ms a query: {figures}; memory {peak_mb():.0f} MB at most")
+            taken = turns(ways, rounds=given.rounds)
+            figures = ", ".join(f"{way} {1e3 * min(each) / count:.2f}" for way, each in taken.items())
+            print(f"{count} queries, ms a query: {figures}; memory {peak_memory() / 1e6:.0f} MB at most")
 
 
 def swept(searcher: ExactSearcher, rows: FileRows, queries: np.ndarray, k: int) -> Hits:
@@ -93,19 +88,6 @@ def plain(rows: FileRows, queries: np.ndarray, k: int) -> Hits:
     )
 
 
-def interleaved(ways: dict[str, Callable[[], Hits]], rounds: int) -> tuple[dict[str, float], dict[str, Hits]]:
-    """The least seconds of each way, which take turns; and what each found."""
-    best, found = dict.fromkeys(ways, np.inf), dict[str, Hits]()
-    for _ in range(rounds + 1):  # the first is to warm up
-        for name, way in ways.items():
-            began = time.perf_counter()
-            hits = way()
-            if name in found:
-                best[name] = min(best[name], time.perf_counter() - began)
-            found[name] = hits
-    return best, found
-
-
 def made_up(path: Path, rows: int, dim: int) -> None:
     """Write rows of length 1 as float16."""
     rng = np.random.default_rng(SEED)
@@ -118,19 +100,6 @@ def unit(rng: np.random.Generator, rows: int, dim: int) -> np.ndarray:
     """Rows of length 1 that point anywhere."""
     drawn = rng.standard_normal((rows, dim), dtype=np.float32)
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-
-
-def peak_mb() -> float:
-    """The most memory this process has held so far."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def _processor() -> str:
-    listed = Path("/proc/cpuinfo")
-    names = listed.read_text().splitlines() if listed.is_file() else []
-    found = next((line.split(":", 1)[1].strip() for line in names if line.startswith("model name")), "")
-    return found or platform.processor() or platform.machine()
 
 
 if __name__ == "__main__":

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.paper import figures, rows, sets
-from benchmarks.paper import reproduce as reproduce_paper
-from benchmarks.paper.page import Figure, Judged, Report
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from benchmarks.paper import figures, rows, sets
+from benchmarks.paper import reproduce as reproduce_paper
+from benchmarks.paper.page import Figure, Judged, Report
 from salad.ablation.grids import GRIDS
 from salad.datasets.protocols import PROTOCOLS, read
 from salad.errors import BenchmarkError, FetchError

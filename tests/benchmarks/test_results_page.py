@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+
 from benchmarks.accuracy import results
 from benchmarks.accuracy.results_sets import section
 
