@@ -206,8 +206,7 @@ def _plain(text: str) -> str:
 
 
 def _between(interval: Interval) -> str:
-    low, high = interval.as_list()
-    return f"({low:.1f} to {high:.1f})"
+    return f"({interval.low:.1f} to {interval.high:.1f})"
 
 
 def _tenths(percent: float) -> int:

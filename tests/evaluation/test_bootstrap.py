@@ -17,9 +17,6 @@ from salad.evaluation.bootstrap import (
     Resampling,
     SamplingDesign,
     block_length,
-    by_block,
-    by_group,
-    by_query,
     nested,
     percentile_interval,
     proportion_interval,
@@ -50,15 +47,15 @@ def of_share(hits: np.ndarray, plan: Resampling, *, seed: int = 0) -> Interval:
 
 
 def alone(hits: np.ndarray, _: list[str]) -> Resampling:
-    return by_query(len(hits))
+    return SamplingDesign("query").resampling(np.arange(len(hits)), hits)
 
 
-def together(_: np.ndarray, groups: list[str]) -> Resampling:
-    return by_group(groups)
+def together(hits: np.ndarray, groups: list[str]) -> Resampling:
+    return SamplingDesign("group", groups=tuple(groups)).resampling(np.arange(len(hits)), hits)
 
 
 def along(hits: np.ndarray, _: list[str]) -> Resampling:
-    return by_block(range(len(hits)), hits.tolist())
+    return SamplingDesign("block", order=tuple(range(len(hits)))).resampling(np.arange(len(hits)), hits)
 
 
 # 400 sets: a share of 0.95 scatters by 0.011, so 0.915 is over three times that below.
@@ -105,8 +102,8 @@ def test_every_draw_is_of_whole_units(queries: int, by: str, seed: int) -> None:
     groups = rng.integers(0, 4, queries).astype(str).tolist()
     order = rng.permutation(queries)
     plan = {
-        "query": by_query(queries),
-        "group": by_group(groups),
+        "query": alone(np.zeros(queries), []),
+        "group": Resampling("group", queries, np.unique(groups, return_inverse=True)[1]),
         "block": Resampling("block", queries, np.argsort(np.argsort(order)), min(5, queries)),
     }[by]
     weights = np.concatenate(list(replace(plan, seed=seed, times=7).weights()))
@@ -140,19 +137,21 @@ def test_the_length_of_a_stretch_follows_the_memory() -> None:
 
 
 def test_all_right_is_not_certain() -> None:
-    one = of_share(np.ones(100), by_query(100))
+    one = of_share(np.ones(100), alone(np.ones(100), []))
     assert one.high == 100
     assert 95 < one.low < 97.5  # Wilson's of 100 out of 100 is 96.3
-    few = of_share(np.ones(100), by_group(["a", "b", "c", "d"] * 25))
+    few = of_share(np.ones(100), together(np.ones(100), ["a", "b", "c", "d"] * 25))
     assert few.low < 50  # four places tell little
-    none = of_share(np.zeros(100), by_query(100))
+    none = of_share(np.zeros(100), alone(np.zeros(100), []))
     assert none.low == 0
     assert none.high == pytest.approx(100 - one.low)
 
 
 def test_many_queries_of_one_kind_are_never_surer_than_independent_ones() -> None:
     hits = np.array([1.0, 0.0] * 50)
-    paired = of_share(hits, by_group([str(number // 2) for number in range(100)]))  # each group: one of each
+    paired = of_share(
+        hits, together(hits, [str(number // 2) for number in range(100)])
+    )  # each group: one of each
     assert paired.high - paired.low == pytest.approx(2 * 9.6, abs=0.8)
 
 
@@ -162,12 +161,12 @@ def test_few_units_are_believed_as_student_has_it() -> None:
         spread = 100 * math.sqrt(0.25 / 400 * max(1, units - 1) / units)  # what makes 400 queries worth 400
         one = proportion_interval(50.0, np.array([50 - spread, 50 + spread]), units=units, counted=400)
         half = math.sqrt(quantile**2 / 1600 + quantile**4 / 640_000) / (1 + quantile**2 / 400)
-        assert one.as_list() == pytest.approx([50 - 100 * half, 50 + 100 * half], abs=0.01)
+        assert list(one) == pytest.approx([50 - 100 * half, 50 + 100 * half], abs=0.01)
 
 
 def test_percentiles() -> None:
     assert percentile_interval(np.arange(1000.0)) == Interval(24, 975)
-    assert percentile_interval(np.array([1.0, np.inf])).as_list() == [1.0, np.inf]
+    assert percentile_interval(np.array([1.0, np.inf])) == (1.0, np.inf)
 
 
 @given(

@@ -46,7 +46,7 @@ def test_files_and_pictures(folder: Path) -> None:
     assert (picture.query, picture.reference, picture.kind) == (1, 1, "picture")
     assert 0 < picture.difference < leaks.ALIKE
     assert Path(picture.query_path) == folder / "q1.jpg"
-    assert file.as_dict()["reference_path"] == str(folder / "r0.png")
+    assert file.reference_path == str(folder / "r0.png")
 
 
 def test_without_matches_only_files_are_looked_for(folder: Path) -> None:

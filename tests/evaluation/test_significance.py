@@ -49,7 +49,7 @@ def test_the_same_result_differs_by_nothing() -> None:
     one = result([True, False] * 20)
     (found,) = differences(one, one)
     assert (found.points, found.chance, found.real) == (0.0, 1.0, False)
-    assert found.interval.as_list() == [0.0, 0.0]
+    assert found.interval == (0.0, 0.0)
 
 
 def test_a_great_difference_is_real_and_five_changes_are_not() -> None:

@@ -53,7 +53,8 @@ def figures(result: Result) -> Table:
     if (curve := result.precision_recall) is not None:
         table.add_row("area under precision-recall", f"{curve.area:.1f} %", _range(curve.area_interval))
         full = f"{curve.recall_at_full_precision:.1f} %"
-        table.add_row("recall at 100 % precision", full, _range(curve.full_interval))
+        sure = _range(curve.recall_at_full_precision_interval)
+        table.add_row("recall at 100 % precision", full, sure)
     if (distances := result.distances) is not None:
         table.add_row("median error", f"{distances.median:.1f} m", _range(distances.median_interval))
         for metres, percent in distances.within.items():

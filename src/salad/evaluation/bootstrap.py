@@ -12,39 +12,27 @@ right. Everything else has the draws' own percentiles.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 LEVEL = 0.95
-TIMES = (
-    2000  # from seed to seed the ends of 160 right of 200 then move by 0.06 points (with 200 draws by 0.23)
-)
+# From seed to seed the ends of 160 right of 200 then move by 0.06 points (with 200 draws by 0.23).
+TIMES = 2000
 _NUMBERS = 1 << 21  # weights held at once: 16 MiB
 
 By: TypeAlias = Literal["query", "group", "block"]
 Weights: TypeAlias = Float64[np.ndarray, "draws queries"]
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """Where the truth lies, 95 times in 100."""
+class Interval(NamedTuple):
+    """Where the truth lies, 95 times in 100; in JSON a list of its two ends."""
 
     low: float
     high: float
-
-    def as_list(self) -> list[float]:
-        """The two ends, for JSON."""
-        return [self.low, self.high]
-
-    @classmethod
-    def from_list(cls, ends: Sequence[float]) -> Interval:
-        """What `as_list` wrote."""
-        low, high = ends
-        return cls(float(low), float(high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,39 +114,16 @@ class SamplingDesign:
         self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]
     ) -> Resampling:
         """How to draw some of the queries again, given what each of them came to."""
-        rows = those.tolist()
-        # One group alone has nothing to vary against: then its queries count as single ones.
-        if self.by == "group" and len({self.groups[row] for row in rows}) > 1:
-            resampling = by_group([self.groups[row] for row in rows])
+        by, unit_of, length = self.by, np.arange(len(those)), 1
+        if self.by == "group":
+            names, unit_of = np.unique([self.groups[row] for row in those.tolist()], return_inverse=True)
+            # One group alone has nothing to vary against: then its queries count as single ones.
+            if len(names) < 2:
+                by, unit_of = "query", np.arange(len(those))
         elif self.by == "block":
-            resampling = by_block([self.order[row] for row in rows], values.tolist())
-        else:
-            resampling = by_query(len(rows))
-        return replace(resampling, seed=self.seed, times=self.times)
-
-
-def by_query(queries: int) -> Resampling:
-    """Every query by itself."""
-    return Resampling("query", queries, np.arange(queries))
-
-
-def by_group(groups: Sequence[str]) -> Resampling:
-    """Queries of one group together: `groups` names each query's."""
-    _, unit_of = np.unique(np.asarray(groups), return_inverse=True)
-    return Resampling("group", len(groups), unit_of.astype(np.int64).reshape(-1))
-
-
-def by_block(order: Sequence[int], values: Sequence[float]) -> Resampling:
-    """Neighbouring frames of one drive together, in stretches of `block_length`.
-
-    Args:
-        order: The frame number of each query.
-        values: What each query came to, in the same order.
-    """
-    along = np.argsort(np.asarray(order), kind="stable")
-    place = np.empty(len(along), dtype=np.int64)
-    place[along] = np.arange(len(along))
-    return Resampling("block", len(along), place, block_length(np.asarray(values, dtype=np.float64)[along]))
+            along = np.argsort([self.order[row] for row in those.tolist()], kind="stable")
+            unit_of, length = np.argsort(along), block_length(values[along])
+        return Resampling(by, len(those), unit_of.astype(np.int64), length, self.seed, self.times)
 
 
 def block_length(series: Float64[np.ndarray, " frames"]) -> int:
@@ -175,9 +140,8 @@ def block_length(series: Float64[np.ndarray, " frames"]) -> int:
     variance = float(centred @ centred) / count
     length = math.cbrt(count)
     if variance > 1e-12:  # else nothing varies, and there is no memory to measure
-        significant = max(
-            5, math.ceil(math.log10(count))
-        )  # so many small ones in a row, and the memory has ended
+        # So many small ones in a row, and the memory has ended.
+        significant = max(5, math.ceil(math.log10(count)))
         lags = min(count - 1, math.ceil(math.sqrt(count)) + significant)
         covariance = np.array(
             [float(centred[: count - lag] @ centred[lag:]) / count for lag in range(lags + 1)]
@@ -189,9 +153,8 @@ def block_length(series: Float64[np.ndarray, " frames"]) -> int:
         # A flat-top window: whole up to half the reach, then falling to 0.
         tapered = np.clip(2 * (1 - lag / max(reach, 1)), 0, 1) * covariance[1 : reach + 1]
         long_run, slope = variance + 2 * float(tapered.sum()), 2 * float((lag * tapered).sum())
-        if (
-            long_run > 0
-        ):  # (2 slope^2 / D)^(1/3) in their words, where D = 4/3 long_run^2 is the circular bootstrap's
+        if long_run > 0:
+            # (2 slope^2 / D)^(1/3) in their words, where D = 4/3 long_run^2 is the circular bootstrap's.
             length = max(length, (1.5 * slope**2 / long_run**2 * count) ** (1 / 3))
     return max(1, min(2 * math.ceil(length), count // 6))
 

@@ -149,9 +149,8 @@ class DescriptorCache:
             ModelError: If the model gives descriptors of another shape than it says, or numbers that are not finite.
         """
         total = len(references) + len(queries)
-        keys = np.zeros(
-            (total, _KEY), dtype=np.uint8
-        )  # an array: millions of bytes objects would take ten times it
+        # An array: millions of bytes objects would take ten times it.
+        keys = np.zeros((total, _KEY), dtype=np.uint8)
         waiting: dict[bytes, Path] = {}
         for number, photo in enumerate(chain(references, queries)):
             try:
@@ -184,10 +183,9 @@ class DescriptorCache:
         keys = np.frombuffer(b"".join(photos), dtype=np.uint8).reshape(-1, _KEY)
         path = self._folder / f"{hashlib.blake2b(keys.tobytes(), digest_size=16).hexdigest()}{_SUFFIX}"
         sum_ = zlib.crc32(rows.tobytes(), zlib.crc32(keys.tobytes()))
+        content = save({"contents": keys, "descriptors": rows}, metadata={"crc32": f"{sum_:08x}"})
         try:
-            write_whole(
-                path, save({"contents": keys, "descriptors": rows}, metadata={"crc32": f"{sum_:08x}"})
-            )
+            write_whole(path, content)
             self._take(path)
         except OSError as error:
             raise BenchmarkError(

@@ -272,7 +272,7 @@ def judge(
     else:
         design = SamplingDesign("query")
     design = replace(design, seed=settings.seed, times=settings.times)
-    found = recall(per_query, counted, settings.ks, design)
+    percent, intervals, drawn = recall(per_query, counted, settings.ks, design)
     named = sorted({row for one in per_query for row in (*one.matches, one.right) if row is not None})
     return Result(
         benchmark=benchmark.name,
@@ -280,14 +280,14 @@ def judge(
         queries=len(benchmark.queries),
         references=len(benchmark.references),
         unanswerable=sum(not one.positives for one in per_query),
-        recall=found.at,
+        recall=percent,
         model=model,
         seconds=seconds,
         notes=(*benchmark.notes, *notes),
         fingerprint=fingerprint,
         unanswerable_rule=rule,
-        intervals=found.intervals,
-        drawn=found.drawn,
+        intervals=intervals,
+        drawn=drawn,
         precision_recall=precision_recall(per_query, design),
         distances=distances(per_query, counted, design),
         per_query=per_query,

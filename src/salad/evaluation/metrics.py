@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,34 +31,23 @@ KS = (1, 5, 10, 20)
 WITHIN_M = (5, 10, 25, 50)  # metres; 25 is the field's own measure of a right answer
 
 
-@dataclass(frozen=True, slots=True)
-class Recall:
-    """Percent of queries with a right reference among the first k.
-
-    Attributes:
-        at: Percent, by k, in the order asked for.
-        intervals: Where the truth of each lies 95 times in 100.
-        drawn: How that was found: what was drawn again together, how often, and from which seed.
-    """
-
-    at: dict[int, float]
-    intervals: dict[int, Interval]
-    drawn: dict[str, Any]
-
-
 def recall(
     results: Sequence[QueryResult],
     counted: Int64[np.ndarray, " counted"],
     ks: Sequence[int],
     design: SamplingDesign,
-) -> Recall:
-    """Recall@k.
+) -> tuple[dict[int, float], dict[int, Interval], dict[str, Any]]:
+    """Recall@k: the percentage of queries with a right reference among the first k.
 
     Args:
         results: What became of each query. One with fewer matches than k is taken to name every reference there is.
         counted: Numbers of the queries that a share is taken of, one at least.
         ks: Which k to report.
         design: Which queries hang together.
+
+    Returns:
+        Percent by k, in the order asked for; where the truth of each lies 95 times in 100; and how that was found:
+        what was drawn again together, how often, and from which seed.
     """
     ranks = np.array([results[number].first_right or math.inf for number in counted.tolist()])
     hits = (ranks[:, None] <= np.array(ks)).astype(np.float64)  # [counted, ks]
@@ -70,7 +59,7 @@ def recall(
         k: proportion_interval(percent[k], draws[:, column], units=resampling.units, counted=len(counted))
         for column, k in enumerate(ks)
     }
-    return Recall(percent, nested(intervals), resampling.as_dict())
+    return percent, nested(intervals), resampling.as_dict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,37 +147,31 @@ class PrecisionRecall:
 
     Attributes:
         area: Below the curve (average precision).
+        area_interval: How sure that is.
         recall_at_full_precision: The most recall with no wrong answer.
+        recall_at_full_precision_interval: How sure that is.
         threshold: The least score believed there; None where the surest answer of all is wrong.
-        area_interval: How sure `area` is.
-        full_interval: How sure `recall_at_full_precision` is.
     """
 
     area: float
-    recall_at_full_precision: float
-    threshold: float | None
     area_interval: Interval
-    full_interval: Interval
+    recall_at_full_precision: float
+    recall_at_full_precision_interval: Interval
+    threshold: float | None
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON form."""
-        return {
-            "area": self.area,
-            "area_interval": self.area_interval.as_list(),
-            "recall_at_full_precision": self.recall_at_full_precision,
-            "recall_at_full_precision_interval": self.full_interval.as_list(),
-            "threshold": self.threshold,
-        }
+        return {name: list(part) if isinstance(part, tuple) else part for name, part in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, read: Mapping[str, Any]) -> PrecisionRecall:
         """What `as_dict` wrote."""
         return cls(
             float(read["area"]),
+            Interval(*map(float, read["area_interval"])),
             float(read["recall_at_full_precision"]),
+            Interval(*map(float, read["recall_at_full_precision_interval"])),
             None if read["threshold"] is None else float(read["threshold"]),
-            Interval.from_list(read["area_interval"]),
-            Interval.from_list(read["recall_at_full_precision_interval"]),
         )
 
 
@@ -208,10 +191,10 @@ def precision_recall(results: Sequence[QueryResult], design: SamplingDesign) -> 
     curves = [answers.curve(weights) for weights in resampling.weights()]
     return PrecisionRecall(
         float(curve.area),
-        float(curve.recall_at_full_precision),
-        curve.surest,
         percentile_interval(np.concatenate([drawn.area for drawn in curves])),
+        float(curve.recall_at_full_precision),
         percentile_interval(np.concatenate([drawn.recall_at_full_precision for drawn in curves])),
+        curve.surest,
     )
 
 
@@ -236,15 +219,14 @@ class Distances:
     def as_dict(self) -> dict[str, Any]:
         """The JSON form; what is infinite is null, since JSON has no infinity."""
         median, *ends = (
-            metres if math.isfinite(metres) else None
-            for metres in (self.median, *self.median_interval.as_list())
+            metres if math.isfinite(metres) else None for metres in (self.median, *self.median_interval)
         )
         return {
             "known": self.known,
             "median": median,
             "median_interval": ends,
             "within": {str(metres): percent for metres, percent in self.within.items()},
-            "within_intervals": {str(m): interval.as_list() for m, interval in self.within_intervals.items()},
+            "within_intervals": {str(m): list(interval) for m, interval in self.within_intervals.items()},
         }
 
     @classmethod
@@ -260,7 +242,7 @@ class Distances:
             median_interval=Interval(low, high),
             within={int(metres): float(percent) for metres, percent in read["within"].items()},
             within_intervals={
-                int(m): Interval.from_list(ends) for m, ends in read["within_intervals"].items()
+                int(m): Interval(*map(float, ends)) for m, ends in read["within_intervals"].items()
             },
         )
 

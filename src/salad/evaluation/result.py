@@ -172,11 +172,11 @@ class Result:
             "benchmark": self.benchmark,
             "unanswerable_rule": self.unanswerable_rule,
             "fingerprint": self.fingerprint,
-            "intervals": {str(k): interval.as_list() for k, interval in self.intervals.items()},
+            "intervals": {str(k): list(interval) for k, interval in self.intervals.items()},
             "drawn": dict(self.drawn),
             "precision_recall": None if curve is None else curve.as_dict(),
             "metres": None if distances is None else distances.as_dict(),
-            "leaks": None if self.leaks is None else [leak.as_dict() for leak in self.leaks],
+            "leaks": None if self.leaks is None else [asdict(leak) for leak in self.leaks],
             "notes": list(self.notes),
         }
 
@@ -201,7 +201,7 @@ class Result:
             seconds=float(read["seconds"]),
             notes=tuple(_exactly(str, note) for note in read["notes"]),
             unanswerable_rule=RULES[read["unanswerable_rule"]],
-            intervals={int(k): Interval.from_list(ends) for k, ends in read["intervals"].items()},
+            intervals={int(k): Interval(*map(float, ends)) for k, ends in read["intervals"].items()},
             drawn=_exactly(dict, read["drawn"]),
             precision_recall=None if curve is None else PrecisionRecall.from_dict(curve),
             distances=None if metres is None else Distances.from_dict(metres),

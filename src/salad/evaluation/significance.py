@@ -59,7 +59,7 @@ class Difference:
             "first": self.first,
             "other": self.other,
             "difference": self.points,
-            "interval": self.interval.as_list(),
+            "interval": list(self.interval),
             "chance": self.chance,
             "real": self.real,
             "won": list(self.won),

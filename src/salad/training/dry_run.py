@@ -122,9 +122,8 @@ def _planned_stages(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> l
         learn_from, _ = recipe.split(places)
         head, end = count_steps(recipe, build_sampler(recipe, learn_from))
         tune = end - head
-    left = (
-        recipe.full_steps
-    )  # the last ones, whichever stage they fall into: so they are given out from the end
+    # The last ones, whichever stage they fall into: so they are given out from the end.
+    left = recipe.full_steps
     stages: list[_PlannedStage] = []
     for name, steps, blocks in (("tune", tune, recipe.tuned_blocks), ("head", head, 0)):
         full = 0 if recipe.cached(blocks) else left if steps is None else min(left, steps)
