@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import itertools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
-from jaxtyping import Float64
 from numpy.typing import NDArray
 
 from salad.datasets.neighbours import Neighbours
@@ -24,99 +24,106 @@ APART_M = 100.0
 """How far apart, in metres, two places of a batch are at least: GSV-Cities' own distance."""
 
 
-class Sampler(Protocol):
-    """Batches by their numbers."""
+@dataclass(eq=False)
+class Sampler(ABC):
+    """Batches of places by their numbers.
 
-    def batch(self, number: int) -> list[View]:
-        """The batch of that number, from 0 on; the same whenever it is asked for."""
-        ...
-
-
-class MixedSampler:
-    """Places of all cities in one batch; a city takes part by the square root of its size.
-
-    It keeps no distance between places: use it for sets whose places lie far enough apart by themselves.
-
-    Args:
-        places: What to draw from.
-        per_batch: Places in a batch.
-        views: Photos of each; a place with fewer shows some of them twice.
-        seed: Decides everything.
-        mirror: Whether half of the places are mirrored.
-
-    Raises:
-        BenchmarkError: If there are fewer places than a batch needs.
-    """
-
-    def __init__(
-        self, places: Sequence[TrainingPlace], *, per_batch: int, views: int, seed: int, mirror: bool = True
-    ) -> None:
-        _check_enough(places, per_batch)
-        numbers, self._chances = _chances(places)
-        self._places = [places[number] for number in numbers]
-        self._per_batch, self._views, self._seed, self._mirror = per_batch, views, seed, mirror
-
-    def batch(self, number: int) -> list[View]:
-        """The batch of that number, from 0 on."""
-        rng = np.random.default_rng((self._seed, number))
-        # A generator for each batch, of seed and number: to draw the n-th, none before it need be drawn.
-        drawn = rng.choice(len(self._places), size=self._per_batch, replace=False, p=self._chances)
-        return _views([self._places[index] for index in drawn], rng, views=self._views, mirror=self._mirror)
-
-
-class OneCitySampler:
-    """Each batch within one city, every place once an epoch, as the paper trains; each epoch is shuffled anew.
-
-    Places of one city look more alike than those of two, so that there is more to learn from each batch. Batches
-    hold `per_batch` places or fewer, as even as they come: a city's places seldom divide by it. A place that would
-    be alone in its batch teaches nothing and is left out of that epoch.
-
-    Args:
+    Attributes:
         places: What to draw from.
         per_batch: Most places in a batch.
         views: Photos of each; a place with fewer shows some of them twice.
         seed: Decides everything.
         mirror: Whether half of the places are mirrored.
-        apart_m: Metres between any two places of a batch, where their positions are known; 0 for no matter.
-
-    Attributes:
-        per_epoch: Batches in an epoch.
 
     Raises:
-        BenchmarkError: If there are fewer places than a batch needs, or none that may stand beside another.
+        BenchmarkError: If there are fewer places than a batch needs; or, where a distance is kept, if none may stand
+            beside another.
     """
 
-    def __init__(
-        self,
-        places: Sequence[TrainingPlace],
-        *,
-        per_batch: int,
-        views: int,
-        seed: int,
-        mirror: bool = False,
-        apart_m: float = APART_M,
-    ) -> None:
-        _check_enough(places, per_batch)
-        near = Neighbours([place.where for place in places], apart_m)
-        self._packings = [Packing(city, near, room=per_batch) for city in by_city(places).values()]
-        self._places, self._views, self._seed, self._mirror = places, views, seed, mirror
+    places: Sequence[TrainingPlace]
+    _: KW_ONLY
+    per_batch: int
+    views: int
+    seed: int
+    mirror: bool = False
+
+    def __post_init__(self) -> None:
+        if len(self.places) < self.per_batch:
+            raise BenchmarkError(
+                f"a batch needs {self.per_batch} places, but there are {len(self.places)} to learn from: take photos "
+                "of more places, hold a smaller share of them out, or draw fewer for a batch"
+            )
+
+    def batch(self, number: int) -> list[View]:
+        """The batch of that number, from 0 on: its photos, each place mirrored in all of them or in none."""
+        # A generator for each batch, of seed and number: to draw the n-th, none before it need be drawn.
+        rng = np.random.default_rng((self.seed, number))
+        shown: list[View] = []
+        for label, index in enumerate(self._drawn(number, rng)):
+            place = self.places[index]
+            # The order of these draws decides every batch: runs that are resumed must draw as they did before.
+            mirrored = self.mirror and bool(rng.random() < 0.5)
+            rounds = math.ceil(self.views / len(place.photos))  # too few photos: some of them are shown twice
+            photos = np.concatenate([rng.permutation(len(place.photos)) for _ in range(rounds)])[: self.views]
+            shown += [View(place.photos[photo], label, mirrored, place) for photo in photos.tolist()]
+        return shown
+
+    @abstractmethod
+    def _drawn(self, number: int, rng: np.random.Generator, /) -> Sequence[int]:
+        """The numbers of the places in the batch of that number."""
+
+
+@dataclass(eq=False)
+class MixedSampler(Sampler):
+    """Places of all cities in one batch; a city takes part by the square root of its size.
+
+    It keeps no distance between places: use it for sets whose places lie far enough apart by themselves.
+    """
+
+    mirror: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._numbers, self._chances = _chances(self.places)
+
+    def _drawn(self, _: int, rng: np.random.Generator) -> Sequence[int]:
+        drawn = rng.choice(len(self._numbers), size=self.per_batch, replace=False, p=self._chances)
+        return [self._numbers[index] for index in drawn]
+
+
+@dataclass(eq=False)
+class OneCitySampler(Sampler):
+    """Each batch within one city, every place once an epoch, as the paper trains; each epoch is shuffled anew.
+
+    Places of one city look more alike than those of two, so that there is more to learn from each batch. Batches
+    hold `per_batch` places or fewer, as even as they come: a city's places seldom divide by it. A place that would
+    be alone in its batch teaches nothing and is left out of that epoch. An epoch ends every `per_epoch` batches.
+
+    Attributes:
+        apart_m: Metres between any two places of a batch, where their positions are known; 0 for no matter.
+        per_epoch: Batches in an epoch.
+    """
+
+    apart_m: float = APART_M
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        near = Neighbours([place.where for place in self.places], self.apart_m)
+        self._packings = [Packing(city, near, room=self.per_batch) for city in by_city(self.places).values()]
         self._epoch, self._batches = -1, list[list[int]]()
         self.per_epoch = len(self._plan(0))
         if not self.per_epoch:
-            raise _no_two(places, apart_m)
+            raise _no_two(self.places, self.apart_m)
 
-    def batch(self, number: int) -> list[View]:
-        """The batch of that number, from 0 on; an epoch ends every `per_epoch` batches."""
+    def _drawn(self, number: int, _: np.random.Generator) -> Sequence[int]:
         epoch, within = divmod(number, self.per_epoch)
-        shown = [self._places[place] for place in self._plan(epoch)[within]]
-        rng = np.random.default_rng((self._seed, number))
-        return _views(shown, rng, views=self._views, mirror=self._mirror)
+        return self._plan(epoch)[within]
 
     def _plan(self, epoch: int) -> list[list[int]]:
         """An epoch's batches; the last one asked for is kept, since its batches are asked for one by one."""
         if epoch != self._epoch:
             # the 1 behind keeps these draws apart from those of a batch: a 0 there would not
-            rng = np.random.default_rng((self._seed, epoch, 1))
+            rng = np.random.default_rng((self.seed, epoch, 1))
             packed = [batch for packing in self._packings for batch in packing.shuffled(rng)]
             several = [batch for batch in packed if len(batch) > 1]
             self._batches = [several[place] for place in rng.permutation(len(several))]
@@ -124,87 +131,62 @@ class OneCitySampler:
         return self._batches
 
 
-class CliqueSampler:
+@dataclass(eq=False)
+class CliqueSampler(Sampler):
     """Batches of cliques of places that look alike, in which each city takes part as in mixed ones.
 
     Whole cliques are drawn, and places of no clique by themselves, each with the mean chance of its places in a
     `MixedSampler`: cliques change whom a place meets, hardly how often it comes. The last drawn is cut where its
     batch is full, and a place near to one that is in it already waits for another batch.
 
-    Args:
-        places: What to draw from.
-        per_batch: Most places in a batch.
-        views: Photos of each; a place with fewer shows some of them twice.
-        seed: Decides everything.
+    Attributes:
         cliques: Numbers of places, as `salad.training.mining.mine` gives them.
-        mirror: Whether half of the places are mirrored.
         apart_m: Metres between any two places of a batch, where their positions are known; 0 for no matter.
 
     Raises:
-        BenchmarkError: If there are fewer places than a batch needs or none that may stand beside another; or if a
-            place is in two cliques, or in none of the places.
+        BenchmarkError: If a place is in two cliques, or in none of the places.
     """
 
-    def __init__(
-        self,
-        places: Sequence[TrainingPlace],
-        *,
-        per_batch: int,
-        views: int,
-        seed: int,
-        cliques: Sequence[Sequence[int]],
-        mirror: bool = False,
-        apart_m: float = APART_M,
-    ) -> None:
-        _check_enough(places, per_batch)
-        taken = [place for clique in cliques for place in clique]
+    cliques: Sequence[Sequence[int]]
+    apart_m: float = APART_M
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        places = self.places
+        taken = [place for clique in self.cliques for place in clique]
         if len(set(taken)) < len(taken) or not set(taken) <= set(range(len(places))):
             raise BenchmarkError(
                 f"a clique names a place twice, or one that is not among the {len(places)} places: mine the cliques "
                 "anew from the places they are to be used with"
             )
-        self._near = Neighbours([place.where for place in places], apart_m)
-        numbers, chances = _chances(places)
+        self._near = Neighbours([place.where for place in places], self.apart_m)
         # A place near to all others would be alone in its batch, and teach nothing.
         chance_of = {
             number: chance
-            for number, chance in zip(numbers, chances.tolist(), strict=True)
+            for number, chance in zip(*_chances(places), strict=True)
             if len(self._near.of(number)) < len(places) - 1
         }
         if not chance_of:
-            raise _no_two(places, apart_m)
+            raise _no_two(places, self.apart_m)
         alone = [[place] for place in sorted(set(range(len(places))) - set(taken))]
-        together = [[place for place in clique if place in chance_of] for clique in [*cliques, *alone]]
+        together = [[place for place in clique if place in chance_of] for clique in [*self.cliques, *alone]]
         self._groups = [group for group in together if group]
         self._chances = np.array(
             [sum(chance_of[place] for place in group) / len(group) for group in self._groups]
         )
-        self._places, self._per_batch, self._views = places, per_batch, views
-        self._seed, self._mirror = seed, mirror
 
-    def batch(self, number: int) -> list[View]:
-        """The batch of that number, from 0 on."""
-        rng = np.random.default_rng((self._seed, number))
+    def _drawn(self, _: int, rng: np.random.Generator) -> Sequence[int]:
         # waiting times: the same as to draw one after another, each by its chance among those that are left
         order = np.argsort(rng.exponential(size=len(self._chances)) / self._chances).tolist()
         drawn, shut = list[int](), set[int]()
         groups = (rng.permutation(self._groups[group]).tolist() for group in order)
         for place in itertools.chain.from_iterable(groups):
-            if len(drawn) == self._per_batch:
+            if len(drawn) == self.per_batch:
                 break
             if place not in shut:
                 drawn.append(place)
                 shut.update(self._near.of(place).tolist())
-        shown = [self._places[place] for place in drawn]
-        return _views(shown, rng, views=self._views, mirror=self._mirror)
-
-
-def _check_enough(places: Sequence[TrainingPlace], per_batch: int) -> None:
-    if len(places) < per_batch:
-        raise BenchmarkError(
-            f"a batch needs {per_batch} places, but there are {len(places)} to learn from: take photos of more places, "
-            "hold a smaller share of them out, or draw fewer for a batch"
-        )
+        return drawn
 
 
 def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
@@ -214,27 +196,13 @@ def _no_two(places: Sequence[TrainingPlace], apart_m: float) -> BenchmarkError:
     )
 
 
-def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], Float64[np.ndarray, " places"]]:
+def _chances(places: Sequence[TrainingPlace]) -> tuple[list[int], list[float]]:
     """Places' numbers, city by city, and the chance of each: a city's is the square root of its size."""
     cities = list(by_city(places).values())
     # By its size alone one large city would fill every batch; all alike, places of a small one would come too often.
     weights = np.sqrt([len(city) for city in cities])
     chances = [np.full(len(c), w / len(c)) for c, w in zip(cities, weights / weights.sum(), strict=True)]
-    return [number for city in cities for number in city], np.concatenate(chances)
-
-
-def _views(
-    places: Sequence[TrainingPlace], rng: np.random.Generator, *, views: int, mirror: bool
-) -> list[View]:
-    """What a batch of places shows: so many photos of each, each place mirrored in all of them or in none."""
-    shown: list[View] = []
-    for label, place in enumerate(places):
-        # The order of these draws decides every batch: runs that are resumed must draw as they did before.
-        mirrored = mirror and bool(rng.random() < 0.5)
-        rounds = math.ceil(views / len(place.photos))  # a place with too few photos shows some of them twice
-        photos = np.concatenate([rng.permutation(len(place.photos)) for _ in range(rounds)])[:views]
-        shown += [View(place.photos[photo], label, mirrored, place) for photo in photos.tolist()]
-    return shown
+    return [number for city in cities for number in city], np.concatenate(chances).tolist()
 
 
 _SLACK = 4 / 3  # batches over those that distances ask for: with fewer, nobody could ever change places
