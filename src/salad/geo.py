@@ -7,7 +7,7 @@ Distances are great circles on a sphere of the mean radius. Against the true ell
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +51,18 @@ class Utm:
     northing: float
     zone: int
     letter: str
+
+
+def in_degrees(points: Iterable[GeoPoint | None]) -> NDArray[np.float64]:
+    """Latitudes and longitudes, `[N, 2]` degrees; NaN where a point is not known."""
+    pairs = [(math.nan, math.nan) if point is None else (point.lat, point.lon) for point in points]
+    return np.array(pairs, dtype=np.float64).reshape(-1, 2)
+
+
+def on_unit_sphere(lat_lon: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points of `[N, 2]` degrees in space, `[3, N]` with a length of 1 each."""
+    lat, lon = np.radians(lat_lon).T
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 def metres_between(a: GeoPoint, b: GeoPoint) -> float:
@@ -150,9 +162,7 @@ def centre(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -
         PositionError: If there is no point, the weights do not fit, or the points cancel out (antipodes).
     """
     normalised = _normalised(points, weights)
-    lat, lon = np.radians([[p.lat for p in points], [p.lon for p in points]])
-    units = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    x, y, z = (float(v) for v in units @ normalised)
+    x, y, z = (float(v) for v in on_unit_sphere(in_degrees(points)) @ normalised)
     if math.hypot(x, y, z) < 1e-9:  # of rounding errors alone, which point anywhere
         raise PositionError(f"{len(points)} points lie evenly around the earth and have no centre: use fewer")
     return GeoPoint(math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x)))
@@ -165,7 +175,8 @@ def spread(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -
         PositionError: As `centre` does.
     """
     middle = centre(points, weights)
-    apart = metres([p.lat for p in points], [p.lon for p in points], middle.lat, middle.lon)
+    lat, lon = in_degrees(points).T
+    apart = metres(lat, lon, middle.lat, middle.lon)
     return math.sqrt(float(_normalised(points, weights) @ apart**2))
 
 

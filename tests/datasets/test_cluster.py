@@ -9,7 +9,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +16,7 @@ from hypothesis import strategies as st
 from salad.datasets.cluster import Clustering, find_cells
 from salad.datasets.neighbours import squares
 from salad.errors import BenchmarkError
-from salad.geo import GeoPoint, centre, metres_between, shifted, to_utm
+from salad.geo import GeoPoint, centre, in_degrees, metres_between, shifted, to_utm
 from salad.images.photo import Photo
 
 HOME = GeoPoint(48.1, 11.5)
@@ -26,7 +25,7 @@ HOME = GeoPoint(48.1, 11.5)
 def middle_of_a_square(near: GeoPoint, side: float = 10.0) -> GeoPoint:
     """A point whose surroundings of some metres are one square."""
     around = [shifted(near, north, east) for north in range(-8, 9) for east in range(-8, 9)]
-    rows, columns = squares(np.array([p.lat for p in around]), np.array([p.lon for p in around]), side)
+    rows, columns = squares(in_degrees(around), side)
     homes = list(zip(rows.tolist(), columns.tolist(), strict=True))
     ((most, _),) = Counter(homes).most_common(1)
     own = [point for point, home in zip(around, homes, strict=True) if home == most]

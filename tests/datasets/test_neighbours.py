@@ -214,7 +214,7 @@ def test_at_no_distance_nothing_is_near() -> None:
 
 def _square(points: list[GeoPoint], side: float) -> list[tuple[int, int]]:
     lat, lon = np.array([point.lat for point in points]), np.array([point.lon for point in points])
-    rows, columns = squares(lat, lon, side)
+    rows, columns = squares(np.stack([lat, lon], axis=1), side)
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
 
@@ -242,7 +242,7 @@ def test_a_line_around_the_earth_is_cut_without_a_rest(lat: float) -> None:
     side = 1000.0
     assert _square([GeoPoint(lat, 180.0)], side) == _square([GeoPoint(lat, -180.0)], side)
     lon = np.linspace(-180, 180, 400_001)[:-1]
-    counts = np.bincount(squares(np.full_like(lon, lat), lon, side)[1])
+    counts = np.bincount(squares(np.stack([np.full_like(lon, lat), lon], axis=1), side)[1])
     assert counts.min() >= counts.max() - 2  # all as wide as each other
     assert len(counts) == math.ceil(2 * math.pi * 6371.0088 * math.cos(math.radians(_middle(lat, side))))
 

@@ -17,7 +17,7 @@ import numpy as np
 from salad.datasets.neighbours import Neighbours, squares
 from salad.datasets.training_place import FEWEST, TrainingPlace, clock
 from salad.errors import BenchmarkError
-from salad.geo import GeoPoint, centre
+from salad.geo import GeoPoint, centre, in_degrees
 from salad.images.photo import Photo
 
 Reason = Literal["no position", "unreadable", "too few in their cell", "too near another place"]
@@ -143,14 +143,10 @@ Key = tuple[int, int, str]  # row and column of the square, and the way its phot
 
 def _cells(photos: Sequence[Photo], side_m: float, turn: float) -> dict[Key, list[Photo]]:
     """Photos by where they were taken and which way they look, cells in order, photos oldest first."""
-    placed = [(photo, photo.where) for photo in photos if photo.where is not None]
-    rows, columns = squares(
-        np.array([where.lat for _, where in placed], dtype=np.float64),
-        np.array([where.lon for _, where in placed], dtype=np.float64),
-        side_m,
-    )
+    placed = [photo for photo in photos if photo.where is not None]
+    rows, columns = squares(in_degrees(photo.where for photo in placed), side_m)
     cells: dict[Key, list[Photo]] = {}
-    for (photo, _), row, column in zip(placed, rows.tolist(), columns.tolist(), strict=True):
+    for photo, row, column in zip(placed, rows.tolist(), columns.tolist(), strict=True):
         cells.setdefault((row, column, _way(photo.heading, turn)), []).append(photo)
     # In order, whatever the order of the photos: the same photos give the same table.
     return {
@@ -181,11 +177,7 @@ def _cities(points: Sequence[GeoPoint]) -> list[str]:
 
     # Parts of cities first, squares of 10 km: there are few of them however many points there are.
     parts: dict[tuple[int, int], list[int]] = {}
-    rows, columns = squares(
-        np.array([point.lat for point in points], dtype=np.float64),
-        np.array([point.lon for point in points], dtype=np.float64),
-        _CITY_M,
-    )
+    rows, columns = squares(in_degrees(points), _CITY_M)
     for number, square in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
         parts.setdefault(square, []).append(number)
     members = [parts[square] for square in sorted(parts)]

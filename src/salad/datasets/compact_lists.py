@@ -10,7 +10,7 @@ from typing import TypeVar, overload
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from salad.geo import GeoPoint
+from salad.geo import GeoPoint, in_degrees
 from salad.images.photo import Photo
 
 _T = TypeVar("_T", covariant=True)
@@ -62,19 +62,23 @@ class Ragged(_MadeOnRequest["Int64[np.ndarray, ' n']"]):
 
     Args:
         values: `[V]` all of them.
+        lengths: `[N]` how many each holds.
+
+    Attributes:
         ends: `[N + 1]` where each begins, and where the last one ends; the first is 0.
     """
 
-    def __init__(self, values: Int64[np.ndarray, " v"], ends: Int64[np.ndarray, " n_1"]) -> None:
-        self.values, self.ends = values, ends
+    def __init__(
+        self, values: Int64[np.ndarray, " v"], lengths: Sequence[int] | Int64[np.ndarray, " n"]
+    ) -> None:
+        self.values, self.ends = values, np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
 
     @classmethod
     def of(cls, arrays: Iterable[Int64[np.ndarray, " n"]]) -> Ragged:
         """These arrays, put together."""
         held = list(arrays)
-        ends = np.cumsum([0, *(len(array) for array in held)], dtype=np.int64)
         # The empty one in front gives a type to a list of none, and to empty ones of any other.
-        return cls(np.concatenate([np.zeros(0, np.int64), *held]).astype(np.int64), ends)
+        return cls(np.concatenate([np.zeros(0, np.int64), *held]).astype(np.int64), list(map(len, held)))
 
     @property
     def lengths(self) -> Int64[np.ndarray, " n"]:
@@ -134,9 +138,7 @@ def positions(photos: Sequence[Photo]) -> Float64[np.ndarray, "n 2"]:
     """Latitudes and longitudes in degrees, NaN where a photo has none; at once where photos are a `PhotoList`."""
     if isinstance(photos, PhotoList):  # whose array is there already: no photo need be made
         return photos.where
-    known = (photo.where for photo in photos)
-    pairs = [(math.nan, math.nan) if where is None else (where.lat, where.lon) for where in known]
-    return np.array(pairs, dtype=np.float64).reshape(-1, 2)
+    return in_degrees(photo.where for photo in photos)
 
 
 def headings(photos: Sequence[Photo]) -> Float64[np.ndarray, " n"]:

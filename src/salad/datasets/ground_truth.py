@@ -121,4 +121,4 @@ def looking_alike(
     apart = turn_between(theirs[positives.values], ours[query])
     alike = apart <= tolerance + 1e-9  # with room for rounding
     counts = np.bincount(query[alike], minlength=len(ours))
-    return Ragged(positives.values[alike], np.concatenate([[0], np.cumsum(counts)]).astype(np.int64))
+    return Ragged(positives.values[alike], counts)

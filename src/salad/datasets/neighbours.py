@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from salad.datasets.compact_lists import Ragged
 from salad.datasets.coordinates import Coordinates
 from salad.errors import BenchmarkError
-from salad.geo import EARTH_RADIUS_M, GeoPoint, metres
+from salad.geo import EARTH_RADIUS_M, GeoPoint, in_degrees, metres, on_unit_sphere
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -111,8 +111,7 @@ def _within(
         found.append(reference[near])
         counts += np.bincount(query[near], minlength=len(queries))
         begin = end
-    ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return Ragged(np.concatenate([np.zeros(0, np.int64), *found]), ends)
+    return Ragged(np.concatenate([np.zeros(0, np.int64), *found]), counts)
 
 
 class Neighbours:
@@ -126,8 +125,7 @@ class Neighbours:
     def __init__(self, points: Sequence[GeoPoint | None], apart_m: float) -> None:
         self._apart_m = apart_m
         # Those that nobody knows keep their numbers, but are not in the tree, which takes no NaN.
-        known = [(point.lat, point.lon) if point else (math.nan, math.nan) for point in points]
-        self._lat_lon = np.array(known, dtype=np.float64).reshape(-1, 2)
+        self._lat_lon = in_degrees(points)
         self._known = np.flatnonzero(np.isfinite(self._lat_lon[:, 0]))
         self._space = _in_space(self._lat_lon)
         self._tree = _tree(self._space[self._known])
@@ -145,7 +143,7 @@ class Neighbours:
 
 
 def squares(
-    lat: NDArray[np.float64], lon: NDArray[np.float64], side_m: float
+    lat_lon: Float64[np.ndarray, "n 2"], side_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The square of the earth that each point lies in: its row from the south pole and its place in that row.
 
@@ -153,13 +151,13 @@ def squares(
     line without a rest, and needs no UTM zone.
 
     Args:
-        lat: `[N]` degrees.
-        lon: `[N]` degrees.
+        lat_lon: `[N, 2]` degrees.
         side_m: Metres.
 
     Returns:
         Two arrays `[N]`.
     """
+    lat, lon = lat_lon.T
     high = math.degrees(side_m / EARTH_RADIUS_M)
     rows = np.floor((lat + 90) / high)
     middle = np.radians(np.minimum((rows + 0.5) * high - 90, 90))
@@ -171,10 +169,7 @@ def squares(
 
 def _in_space(lat_lon: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
     """Metres from the earth's centre; two points near each other are near in space, wherever they are."""
-    lat, lon = np.radians(lat_lon.reshape(-1, 2)).T
-    unit = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-    space: NDArray[np.float64] = unit * EARTH_RADIUS_M
-    return space
+    return (on_unit_sphere(lat_lon.reshape(-1, 2)) * EARTH_RADIUS_M).T
 
 
 def _widened(reach: float) -> float:

@@ -23,7 +23,7 @@ from salad.datasets.folders import names_in
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.datasets.training_place import FEWEST, Say, TrainingPlace, tell_missing
 from salad.errors import BenchmarkError, PositionError
-from salad.geo import GeoPoint, centre
+from salad.geo import GeoPoint, centre, in_degrees
 from salad.tables import CsvError, read_csv
 
 TABLES, PHOTOS = "Dataframes", "Images"
@@ -114,12 +114,10 @@ def read(root: Path, _: Protocol) -> Sides:
         )
     # Photos stand oldest first: who asks comes after those who are asked, as in use.
     theirs = [(place, photo) for place in places for photo in place.photos[:-1]]
-    counts = np.array([len(place.photos) - 1 for place in places], dtype=np.int64)
-    ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     return Sides(
         _photos(root, theirs),
         _photos(root, [(place, place.photos[-1]) for place in places]),
-        positives=Ragged(np.arange(ends[-1], dtype=np.int64), ends),
+        positives=Ragged(np.arange(len(theirs), dtype=np.int64), [len(place.photos) - 1 for place in places]),
         groups=tuple(f"{place.city}/{place.name}" for place in places),
         told_by=TABLES,
         notes=tuple(notes),
@@ -127,9 +125,8 @@ def read(root: Path, _: Protocol) -> Sides:
 
 
 def _photos(root: Path, photos: list[tuple[TrainingPlace, Path]]) -> PhotoList:
-    where = [place.where for place, _ in photos]
-    known = np.array([(point.lat, point.lon) if point else (np.nan, np.nan) for point in where])
-    return PhotoList(root, (str(photo.relative_to(root)) for _, photo in photos), where=known)
+    where = in_degrees(place.where for place, _ in photos)
+    return PhotoList(root, (str(photo.relative_to(root)) for _, photo in photos), where=where)
 
 
 LAYOUT = Layout("GSV-Cities", "Dataframes/<City>.csv beside Images/<City>/", looked_for, find, read)
