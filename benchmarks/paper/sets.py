@@ -54,7 +54,7 @@ def _candidates(asked: Protocol, data: Path) -> Sequence[Path]:
 
 
 def _may_hold(asked: Protocol, folder: Path) -> bool:
-    found = [layout.name for layout in layouts_in(folder, asked)]
+    found = [layout.name for layout, _ in layouts_in(folder, asked)]
     return any(name not in ANYBODYS for name in found) or (bool(found) and _is_called(asked, folder))
 
 

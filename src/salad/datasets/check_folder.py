@@ -48,9 +48,9 @@ def check(root: Path) -> list[Finding]:
     name = root.resolve().name.lower()
     held: Held = {}
     findings = [
-        _finding(root, protocol, layout, held)
+        _finding(root, protocol, layout, found, held)
         for protocol in PROTOCOLS.values()
-        for layout in layouts_in(root, protocol)
+        for layout, found in layouts_in(root, protocol)
         # Any set may come in `@` names; without counts to compare, only the folder's name can say that it is meant.
         if protocol.references is not None
         or protocol.yours
@@ -60,14 +60,14 @@ def check(root: Path) -> list[Finding]:
     return sorted(findings, key=lambda finding: not finding.fits)
 
 
-def _finding(root: Path, protocol: Protocol, layout: Layout, held: Held) -> Finding:
+def _finding(root: Path, protocol: Protocol, layout: Layout, found: Path, held: Held) -> Finding:
     """What a protocol finds by a layout, which is read at most once for all protocols that find the same in it."""
-    key: tuple[object, ...] = (layout.name, layout.find(root, protocol), protocol.sides)
+    key: tuple[object, ...] = (layout.name, found, protocol.sides)
     if layout.name != "@ names":  # which read the same whoever asks, and may be millions
         key += (protocol.subset, protocol.zone, protocol.rule)
     if key not in held:
         try:
-            held[key] = layout.read(root, protocol)
+            held[key] = layout.read(root, found, protocol)
         except BenchmarkError as error:
             held[key] = error
     sides = held[key]

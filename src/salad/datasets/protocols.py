@@ -273,10 +273,11 @@ def _published(asked: Protocol, root: Path, name: str | None, *, any_size: bool)
         raise BenchmarkError(
             f"{asked.name} is not read from the layout {name!r}: give one of {', '.join(asked.layouts)}"
         )
-    layout = next((layout for layout in layouts_in(root, asked) if name in (None, layout.name)), None)
-    if layout is None:
+    there = [pair for pair in layouts_in(root, asked) if name in (None, pair[0].name)]
+    if not there:
         raise _absent(asked, root)
-    made = benchmark_of(asked, layout.read(root, asked), name=root.resolve().name)
+    layout, found = there[0]
+    made = benchmark_of(asked, layout.read(root, found, asked), name=root.resolve().name)
     differ = differences(asked, made)
     if not differ:
         return made
@@ -290,9 +291,10 @@ def _published(asked: Protocol, root: Path, name: str | None, *, any_size: bool)
     return replace(made, protocol=f"{asked.name} ({counts})")
 
 
-def layouts_in(root: Path, asked: Protocol) -> list[Layout]:
-    """The protocol's layouts that a folder is in."""
-    return [LAYOUTS[name] for name in asked.layouts if LAYOUTS[name].find(root, asked) is not None]
+def layouts_in(root: Path, asked: Protocol) -> list[tuple[Layout, Path]]:
+    """The protocol's layouts that a folder is in, each with the file or folder by which it is known."""
+    layouts = (LAYOUTS[name] for name in asked.layouts)
+    return [(layout, found) for layout in layouts if (found := layout.find(root, asked)) is not None]
 
 
 def benchmark_of(asked: Protocol, sides: Sides, *, name: str) -> Benchmark:

@@ -24,19 +24,13 @@ from salad.errors import BenchmarkError
 from salad.images.metadata import split_at_name
 
 
-def looked_for(protocol: Protocol) -> list[str]:
-    """What is looked for."""
-    references, queries = protocol.sides[0]
-    return [f"images/{protocol.split}/{references}/ and {queries}/ of @-named photos"]
-
-
 def find(root: Path, protocol: Protocol) -> Path | None:
     """The folder of references, where both are there and the first photo of it has an `@` name."""
     folders = _folders(root, protocol)
     return folders[0] if folders and _has_at_names(folders[0]) else None
 
 
-def read(root: Path, protocol: Protocol) -> Sides:
+def read(root: Path, _found: Path, protocol: Protocol) -> Sides:
     """Both sides.
 
     Raises:
@@ -44,10 +38,9 @@ def read(root: Path, protocol: Protocol) -> Sides:
     """
     folders = _folders(root, protocol)
     assert folders is not None
-    (references, theirs, _), (queries, ours, panoramas) = (read_side(folder) for folder in folders)
-    return Sides(
-        references, queries, coordinates=(ours, theirs), groups=panoramas if all(panoramas) else None
-    )
+    (references, theirs, _), (queries, ours, panoramas) = map(read_side, folders)
+    groups = panoramas if all(panoramas) else None
+    return Sides(references, queries, coordinates=(ours, theirs), groups=groups)
 
 
 def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
@@ -104,5 +97,9 @@ def _has_at_names(folder: Path) -> bool:
 
 
 LAYOUT = Layout(
-    "@ names", "<root>/images/<split>/{database,queries}/@easting@northing@...", looked_for, find, read
+    "@ names",
+    "<root>/images/<split>/{database,queries}/@easting@northing@...",
+    lambda protocol: [f"images/{protocol.split}/{'/ and '.join(protocol.sides[0])}/ of @-named photos"],
+    find,
+    read,
 )

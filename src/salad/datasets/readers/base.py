@@ -222,9 +222,10 @@ class Layout:
         name: What it is called.
         what: What it looks like, in a few words.
         looked_for: What is looked for, as texts for a sentence.
-        find: What of it is there, or None; a look at few names, which opens nothing.
-        read: What it holds; only called where `find` found something. Raises a BenchmarkError where files cannot be
-            read, are damaged, or do not fit together.
+        find: The file or folder in a root by which the layout is known, or None; a look at few names, which opens
+            nothing.
+        read: What it holds, by the root and what was found in it. Raises a BenchmarkError where files cannot be read,
+            are damaged, or do not fit together.
     """
 
     # Three functions and no class to inherit from: a reader is a file that fills these in.
@@ -232,4 +233,4 @@ class Layout:
     what: str
     looked_for: Callable[[Protocol], Sequence[str]]
     find: Callable[[Path, Protocol], Path | None]
-    read: Callable[[Path, Protocol], Sides]
+    read: Callable[[Path, Path, Protocol], Sides]

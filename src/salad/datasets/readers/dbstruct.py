@@ -29,24 +29,12 @@ _FIELDS = (
 _QUERIES = ("queries_real", "247query_subset_v2", "247query_v3", "queries", "")
 
 
-def looked_for(protocol: Protocol) -> list[str]:
-    """What is looked for."""
-    return [f"{stem}.mat" for stem in protocol.stems]
-
-
-def find(root: Path, protocol: Protocol) -> Path | None:
-    """The file."""
-    return file_of(root, looked_for(protocol))
-
-
-def read(root: Path, protocol: Protocol) -> Sides:
+def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     """Both sides.
 
     Raises:
         BenchmarkError: If the file cannot be read, its parts do not fit, or the photos are not where they may be.
     """
-    path = find(root, protocol)
-    assert path is not None
     fields = read_struct(path, "dbStruct")
     # Some copies call their fields otherwise, but keep their order.
     named = (
@@ -93,4 +81,10 @@ def _side(
     return photos_at(names, tried, listed_in=path, where=places.lat_lon), places
 
 
-LAYOUT = Layout("dbStruct", "<set>.mat with a dbStruct, queries below queries_real/", looked_for, find, read)
+LAYOUT = Layout(
+    "dbStruct",
+    "<set>.mat with a dbStruct, queries below queries_real/",
+    lambda protocol: [f"{stem}.mat" for stem in protocol.stems],
+    lambda root, protocol: file_of(root, [f"{stem}.mat" for stem in protocol.stems]),
+    read,
+)

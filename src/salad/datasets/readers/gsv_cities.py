@@ -90,17 +90,7 @@ def _rows(table: Path) -> Iterator[_GsvRow]:
         raise BenchmarkError(f"{table}, line {line}: cannot be read ({error!r})") from error
 
 
-def looked_for(_: Protocol) -> list[str]:
-    """What is looked for."""
-    return [f"{TABLES}/<City>.csv and {PHOTOS}/<City>/"]
-
-
-def find(root: Path, _: Protocol) -> Path | None:
-    """The folder of tables."""
-    return root / TABLES if is_gsv_cities(root) else None
-
-
-def read(root: Path, _: Protocol) -> Sides:
+def read(root: Path, _found: Path, _: Protocol) -> Sides:
     """Both sides.
 
     Raises:
@@ -129,4 +119,10 @@ def _photos(root: Path, photos: list[tuple[TrainingPlace, Path]]) -> PhotoList:
     return PhotoList(root, (str(photo.relative_to(root)) for _, photo in photos), where=where)
 
 
-LAYOUT = Layout("GSV-Cities", "Dataframes/<City>.csv beside Images/<City>/", looked_for, find, read)
+LAYOUT = Layout(
+    "GSV-Cities",
+    "Dataframes/<City>.csv beside Images/<City>/",
+    lambda _: [f"{TABLES}/<City>.csv and {PHOTOS}/<City>/"],
+    lambda root, _: root / TABLES if is_gsv_cities(root) else None,
+    read,
+)

@@ -97,12 +97,6 @@ class _Part:
     panoramas: int
 
 
-def looked_for(protocol: Protocol) -> list[str]:
-    """What is looked for."""
-    tables = ",".join(TABLES)
-    return [f"train_val/{city}/{{query,database}}/{{{tables}}}" for city in CITIES.get(protocol.split, ())]
-
-
 def find(root: Path, protocol: Protocol) -> Path | None:
     """The folder of cities, where one of the protocol's is there."""
     for base in (root / "train_val", root):
@@ -111,14 +105,12 @@ def find(root: Path, protocol: Protocol) -> Path | None:
     return None
 
 
-def read(root: Path, protocol: Protocol) -> Sides:
+def read(_: Path, base: Path, protocol: Protocol) -> Sides:
     """Both sides, all of the protocol's cities one after the other.
 
     Raises:
         BenchmarkError: If a city or a table is missing, a table cannot be read, or its tables do not fit together.
     """
-    base = find(root, protocol)
-    assert base is not None
     cities = CITIES[protocol.split]
     theirs, ours = (
         [_part(base, f"{city}/{side}", protocol.subset) for city in cities] for side in ("database", "query")
@@ -195,4 +187,13 @@ def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, 
     return PhotoList(base, names, where=lat_lon), Coordinates(metres, zone, lat_lon)
 
 
-LAYOUT = Layout("MSLS tables", "train_val/<city>/{query,database}/ with four tables", looked_for, find, read)
+LAYOUT = Layout(
+    "MSLS tables",
+    "train_val/<city>/{query,database}/ with four tables",
+    lambda protocol: [
+        f"train_val/{city}/{{query,database}}/{{{','.join(TABLES)}}}"
+        for city in CITIES.get(protocol.split, ())
+    ],
+    find,
+    read,
+)

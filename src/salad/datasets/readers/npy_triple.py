@@ -22,24 +22,12 @@ from salad.errors import BenchmarkError
 _REFERENCES = "_dbimages.npy"  # in small letters, since files are found by either
 
 
-def looked_for(protocol: Protocol) -> list[str]:
-    """What is looked for."""
-    return [f"{stem}_{{dbImages,qImages,gt}}.npy" for stem in protocol.stems]
-
-
-def find(root: Path, protocol: Protocol) -> Path | None:
-    """The array of references."""
-    return file_of(root, [stem + _REFERENCES for stem in protocol.stems])
-
-
-def read(root: Path, protocol: Protocol) -> Sides:
+def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     """Both sides and what is right.
 
     Raises:
         BenchmarkError: If an array is missing, damaged or does not fit, or the photos are not where they may be.
     """
-    path = find(root, protocol)
-    assert path is not None
     stem = path.name[: -len(_REFERENCES)]
     theirs, ours = read_npy(path).texts(), read_npy(_beside(path, f"{stem}_qImages.npy")).texts()
     # MSLS' truth is kept for the queries that count alone, and another file says which these are.
@@ -95,4 +83,10 @@ def _spread(positives: list[NDArray[np.int64]], counted: Path, queries: int) -> 
     return spread
 
 
-LAYOUT = Layout("npy triple", "<set>_dbImages.npy, <set>_qImages.npy, <set>_gt.npy", looked_for, find, read)
+LAYOUT = Layout(
+    "npy triple",
+    "<set>_dbImages.npy, <set>_qImages.npy, <set>_gt.npy",
+    lambda protocol: [f"{stem}_{{dbImages,qImages,gt}}.npy" for stem in protocol.stems],
+    lambda root, protocol: file_of(root, [stem + _REFERENCES for stem in protocol.stems]),
+    read,
+)

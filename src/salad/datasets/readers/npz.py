@@ -23,24 +23,12 @@ from salad.errors import BenchmarkError
 _LISTS = (("dbImages", "qImages"), ("dbImageFns", "qImageFns"), ("imageNames_index", "imageNames_query"))
 
 
-def looked_for(protocol: Protocol) -> list[str]:
-    """What is looked for."""
-    return [f"{stem}.npz with {stem}_imageNames_{{index,query}}.txt" for stem in protocol.stems]
-
-
-def find(root: Path, protocol: Protocol) -> Path | None:
-    """The file."""
-    return file_of(root, [f"{stem}.npz" for stem in protocol.stems])
-
-
-def read(root: Path, protocol: Protocol) -> Sides:
+def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     """Both sides and what is right.
 
     Raises:
         BenchmarkError: If a file is missing, damaged or does not fit, or the photos are not where they may be.
     """
-    path = find(root, protocol)
-    assert path is not None
     arrays = read_npz(path)
     missing = [name for name in ("utmQ", "utmDb", "posDistThr") if name not in arrays]
     if missing:
@@ -107,5 +95,9 @@ def _metres(path: Path, given: Arrays, count: int) -> Float64[np.ndarray, "n 2"]
 
 
 LAYOUT = Layout(
-    "npz", "<set>.npz with utmQ, utmDb, posDistThr, and two lists of names", looked_for, find, read
+    "npz",
+    "<set>.npz with utmQ, utmDb, posDistThr, and two lists of names",
+    lambda protocol: [f"{stem}.npz with {stem}_imageNames_{{index,query}}.txt" for stem in protocol.stems],
+    lambda root, protocol: file_of(root, [f"{stem}.npz" for stem in protocol.stems]),
+    read,
 )

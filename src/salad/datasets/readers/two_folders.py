@@ -30,19 +30,14 @@ class _TwoFolders:
     """How two folders are found and read.
 
     Attributes:
-        looked: What is looked for, as texts for a sentence.
         folders: The folders of references and of queries below a root, where both are there.
         order: Puts a folder's photos in order, by their names.
         table: A file that must lie beside the folders.
     """
 
-    looked: Sequence[str]
     folders: Callable[[Path], tuple[Path, Path] | None]
     order: Callable[[Sequence[str]], list[str]] = sorted
     table: str | None = None
-
-    def looked_for(self, _: Protocol) -> Sequence[str]:
-        return self.looked
 
     def find(self, root: Path, _: Protocol) -> Path | None:
         """The table where there must be one, else the folder of references."""
@@ -51,28 +46,26 @@ class _TwoFolders:
             return found and found[0]
         return root / self.table if (root / self.table).is_file() else None
 
-    def read(self, root: Path, _: Protocol) -> Sides:
+    def read(self, root: Path, _found: Path, _: Protocol) -> Sides:
         found = self.folders(root)
         assert found is not None
         references, queries = (PhotoList(folder, self.order(names_below(folder))) for folder in found)
         return Sides(references, queries)
 
-    def layout(self, name: str, what: str) -> Layout:
-        return Layout(name, what, self.looked_for, self.find, self.read)
+    def layout(self, name: str, what: str, *looked_for: str) -> Layout:
+        return Layout(name, what, lambda _: looked_for, self.find, self.read)
 
 
 # People call their folders in many ways, and `looked for` should name them all.
 _OWN = [f"{references}/ and {queries}/" for references, queries in SIDES]
 
 DRIVES = _TwoFolders(
-    ["ref/ and query/ of numbered photos"],
-    lambda root: sides_in(root, (("ref", "query"), ("refs", "queries"))),
-    order=in_order,
-).layout("drives", "ref/0000000.jpg and query/0000000.jpg")
-PAIRS = _TwoFolders(
-    ["new/ and old/ of photos of the same names"], lambda root: sides_in(root, (("new", "old"),))
-).layout("pairs", "new/<name>.png and old/<name>.jpg")
-TRUTH = _TwoFolders([TRUTH_TABLE, *_OWN], own_folders, table=TRUTH_TABLE).layout(
-    "gt.csv", "gt.csv (query,positives) beside database/ and queries/"
+    lambda root: sides_in(root, (("ref", "query"), ("refs", "queries"))), order=in_order
+).layout("drives", "ref/0000000.jpg and query/0000000.jpg", "ref/ and query/ of numbered photos")
+PAIRS = _TwoFolders(lambda root: sides_in(root, (("new", "old"),))).layout(
+    "pairs", "new/<name>.png and old/<name>.jpg", "new/ and old/ of photos of the same names"
 )
-FOLDER = _TwoFolders(_OWN, own_folders).layout("folder", "database/ and queries/ of photos with positions")
+TRUTH = _TwoFolders(own_folders, table=TRUTH_TABLE).layout(
+    "gt.csv", "gt.csv (query,positives) beside database/ and queries/", TRUTH_TABLE, *_OWN
+)
+FOLDER = _TwoFolders(own_folders).layout("folder", "database/ and queries/ of photos with positions", *_OWN)
