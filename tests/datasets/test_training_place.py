@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from salad.datasets.training_place import TrainingPlace, by_city, clock, tell_missing
+from salad.datasets.training_place import PlaceRow, TrainingPlace, by_city, clock, places_of
 from salad.errors import BenchmarkError
 
 
@@ -27,10 +27,11 @@ def test_clocks_sort_whether_they_know_their_zone_or_not() -> None:
 
 def test_what_is_missing_is_one_sentence(tmp_path: Path) -> None:
     table, gone = tmp_path / "places.csv", [tmp_path / "in" / name for name in ("a.jpg", "b.jpg", "c.jpg")]
+    rows = [PlaceRow(path, False, "city", "place", None, 0) for path in gone]
     heard: list[str] = []
-    tell_missing(table, [], None)
-    tell_missing(table, gone[:1], heard.append)
-    tell_missing(table, gone, heard.append)
+    assert places_of(table, [], None) == []
+    assert places_of(table, rows[:1], heard.append) == []
+    assert places_of(table, rows, heard.append) == []
     assert [
         sentence.removeprefix(f"{table} names a.jpg, which is not in {gone[0].parent}") for sentence in heard
     ] == [
@@ -38,4 +39,4 @@ def test_what_is_missing_is_one_sentence(tmp_path: Path) -> None:
         " (nor are 2 more): left out",
     ]
     with pytest.raises(BenchmarkError, match=r"a\.jpg, which is not in .* 2 more\): fetch what is missing"):
-        tell_missing(table, gone, None)
+        places_of(table, rows, None)

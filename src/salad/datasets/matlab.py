@@ -13,7 +13,6 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,45 +70,39 @@ def _variables(data: bytes) -> Iterator[tuple[str, Value | None]]:
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         raise ValueError("its first 128 bytes do not say how it is written")
-    for kind, content in _Elements(data[128:], order):
+    for kind, content in _elements(data[128:], order):
         if kind == _PACKED:
             unpacked = zlib.decompressobj().decompress(content, _MOST)
             if len(unpacked) == _MOST:
                 raise ValueError("it unpacks to more than any ground truth does")
-            for inner, matrix in _Elements(unpacked, order):
+            for inner, matrix in _elements(unpacked, order):
                 if inner == _MATRIX:
                     yield _matrix(matrix, order, 0)
         elif kind == _MATRIX:
             yield _matrix(content, order, 0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Elements:
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
     """The elements that stand one after the other in bytes: each one's kind and content."""
-
-    data: bytes
-    order: str
-
-    def __iter__(self) -> Iterator[tuple[int, bytes]]:
-        place = 0
-        while place + 8 <= len(self.data):
-            kind, size = struct.unpack_from(f"{self.order}II", self.data, place)
-            if kind >> 16:  # a short one, content and all in eight bytes
-                kind, size, begin, end = kind & 0xFFFF, kind >> 16, place + 4, place + 8
-            else:  # padded to eight bytes, but for packed ones
-                begin = place + 8
-                end = begin + size + (0 if kind == _PACKED else -size % 8)
-            if begin + size > len(self.data):
-                raise ValueError("it ends in the middle")
-            yield kind, self.data[begin : begin + size]
-            place = end
+    place = 0
+    while place + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, place)
+        if kind >> 16:  # a short one, content and all in eight bytes
+            kind, size, begin, end = kind & 0xFFFF, kind >> 16, place + 4, place + 8
+        else:  # padded to eight bytes, but for packed ones
+            begin = place + 8
+            end = begin + size + (0 if kind == _PACKED else -size % 8)
+        if begin + size > len(data):
+            raise ValueError("it ends in the middle")
+        yield kind, data[begin : begin + size]
+        place = end
 
 
 def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Value | None]:
     """A matrix's name and value; None for a value of a kind not read here."""
     if depth > _DEEPEST:
         raise ValueError("its cells are in cells without end")
-    elements = iter(_Elements(data, order))
+    elements = _elements(data, order)
     nothing = (9, b"")
     (_, flags), (_, sides), (_, coded_name) = (next(elements, nothing) for _ in range(3))
     if not flags:  # nothing at all, which is how an empty cell is written

@@ -12,20 +12,20 @@ photos too, for `salad index --table`.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from salad.datasets.cluster import Cell
 from salad.datasets.folders import names_in
 from salad.datasets.readers.gsv_cities import is_gsv_cities, read_gsv_cities
-from salad.datasets.training_place import FEWEST, Say, TrainingPlace, by_city, clock, tell_missing
+from salad.datasets.training_place import FEWEST, PlaceRow, Say, TrainingPlace, by_city, clock, places_of
 from salad.errors import BenchmarkError, PositionError
 from salad.files import write_whole
-from salad.geo import GeoPoint, centre
+from salad.geo import GeoPoint
 from salad.images.photo import SUFFIXES
 from salad.tables import CsvError, csv_line, read_csv
 
@@ -128,13 +128,6 @@ def write_places(places: Sequence[Cell], to: Path) -> None:
         ) from error
 
 
-class _PlaceRow(NamedTuple):
-    path: Path
-    key: tuple[str, str]  # city and place
-    where: GeoPoint | None
-    time: datetime | None
-
-
 def read_places(table: Path, *, say: Say | None = None) -> list[TrainingPlace]:
     """The places of a table with at least `FEWEST` photos, in the order they come.
 
@@ -147,30 +140,10 @@ def read_places(table: Path, *, say: Say | None = None) -> list[TrainingPlace]:
     Raises:
         BenchmarkError: If the table or one of its lines cannot be read; or, without `say`, if a photo is missing.
     """
-    there: dict[Path, frozenset[str]] = {}  # one look at a folder, not one at each of its photos
-    missing: list[Path] = []
-    taken: dict[tuple[str, str], list[_PlaceRow]] = {}
-    for row in _rows(table):
-        folder = row.path.parent
-        if folder not in there:
-            there[folder] = names_in(folder)
-        if row.path.name in there[folder]:
-            taken.setdefault(row.key, []).append(row)
-        else:
-            missing.append(row.path)
-    tell_missing(table, missing, say)
-    places = []
-    for (city, name), rows in taken.items():
-        if len(rows) >= FEWEST:
-            points = [row.where for row in rows if row.where is not None]
-            # Where only some photos say where they were taken, the others may be anywhere.
-            where = centre(points) if len(points) == len(rows) else None
-            dated = sorted(rows, key=lambda row: clock(row.time))
-            places.append(TrainingPlace(name, city, tuple(row.path for row in dated), where))
-    return places
+    return places_of(table, _rows(table), say)
 
 
-def _rows(table: Path) -> Iterator[_PlaceRow]:
+def _rows(table: Path) -> Iterator[PlaceRow]:
     def header(names: list[str]) -> list[str]:
         for column in COLUMNS[:2]:
             if column not in names:
@@ -180,11 +153,12 @@ def _rows(table: Path) -> Iterator[_PlaceRow]:
                 )
         return names
 
+    names = cache(names_in)  # one look at a folder, not one at each of its photos
     try:
         # Names of files need not be text: surrogates stand for the bytes that are none, as Path has it.
         for line, fields in read_csv(table, header, strict=False, errors="surrogateescape"):
             try:
-                yield _row(table, fields)
+                yield _row(table, fields, names)
             except (ValueError, PositionError) as error:
                 raise BenchmarkError(
                     f"{table}, line {line}: cannot be read ({error}); correct the line or leave it out"
@@ -195,7 +169,7 @@ def _rows(table: Path) -> Iterator[_PlaceRow]:
         raise BenchmarkError(f"{table} is not CSV ({error}): save it as CSV with commas") from error
 
 
-def _row(table: Path, fields: dict[str, str]) -> _PlaceRow:
+def _row(table: Path, fields: dict[str, str], names: Callable[[Path], frozenset[str]]) -> PlaceRow:
     lat, lon, time, city = (fields.get(column, "").strip() for column in ("lat", "lon", "time", "city"))
     where = GeoPoint(float(lat), float(lon)) if lat or lon else None
     path, place = fields["path"].strip(), fields["place"].strip()
@@ -203,5 +177,6 @@ def _row(table: Path, fields: dict[str, str]) -> _PlaceRow:
         not path or not place or "\0" in path or None in fields
     ):  # None holds fields that no column is there for
         raise ValueError("it needs a path and a place, and no more fields than the header")
-    key = (f"{table.parent.name}/{city}" if city else table.parent.name, place)
-    return _PlaceRow(table.parent / path, key, where, datetime.fromisoformat(time) if time else None)
+    photo, city = table.parent / path, f"{table.parent.name}/{city}" if city else table.parent.name
+    age = clock(datetime.fromisoformat(time) if time else None)
+    return PlaceRow(photo, photo.name in names(photo.parent), city, place, where, age)

@@ -54,8 +54,7 @@ def plain_array(data: bytes, code: str, shape: tuple[int, ...], fortran: bool, a
     return flat.reshape(shape, order="F" if fortran else "C")
 
 
-class _Mark:
-    """Where a row of items begins on the stack."""
+_MARK = object()  # where a row of items begins on the stack
 
 
 @dataclass(slots=True)
@@ -134,53 +133,52 @@ class _Pickle:
 
     def _step(self, name: str, argument: Any) -> None:
         stack = self._stack
-        if name in _VALUES:
-            stack.append(argument)
-        elif name in _CONSTANTS:
-            stack.append(_CONSTANTS[name])
-        elif name in _SHORT_TUPLES:
-            begin = len(stack) - _SHORT_TUPLES.index(name)
-            stack[begin:] = [tuple(stack[begin:])]
-        else:
-            match name:
-                case "PROTO" | "FRAME":
-                    pass
-                case "PUT" | "BINPUT" | "LONG_BINPUT" | "MEMOIZE":
-                    self._memo[len(self._memo) if argument is None else argument] = stack[-1]
-                case "GET" | "BINGET" | "LONG_BINGET":
-                    stack.append(self._memo[argument])
-                case "MARK":
-                    stack.append(_Mark)
-                case "EMPTY_LIST":
-                    stack.append([])
-                case "LIST":
-                    stack.append(self._since_mark())
-                case "TUPLE":
-                    stack.append(tuple(self._since_mark()))
-                case "APPEND":
-                    item = stack.pop()
-                    _list_of(stack[-1]).append(item)
-                case "APPENDS":
-                    items = self._since_mark()
-                    _list_of(stack[-1]).extend(items)
-                case "GLOBAL":
-                    stack.append(_named(".".join(argument.split(" ", 1))))
-                case "STACK_GLOBAL":
-                    inner = stack.pop()
-                    stack.append(_named(f"{stack.pop()}.{inner}"))
-                case "REDUCE":
-                    arguments, function = stack.pop(), stack.pop()
-                    stack.append(self._called(function, arguments))
-                case "BUILD":
-                    state, made = stack.pop(), stack[-1]
-                    if not isinstance(made, _Made) or not isinstance(state, tuple):
-                        raise TypeError("it changes what is no array")
-                    made.state = state
-                case _:
-                    raise ValueError(f"it uses the step {name}")
+        match name:
+            case _ if name in _VALUES:
+                stack.append(argument)
+            case _ if name in _CONSTANTS:
+                stack.append(_CONSTANTS[name])
+            case _ if name in _SHORT_TUPLES:
+                begin = len(stack) - _SHORT_TUPLES.index(name)
+                stack[begin:] = [tuple(stack[begin:])]
+            case "PROTO" | "FRAME":
+                pass
+            case "PUT" | "BINPUT" | "LONG_BINPUT" | "MEMOIZE":
+                self._memo[len(self._memo) if argument is None else argument] = stack[-1]
+            case "GET" | "BINGET" | "LONG_BINGET":
+                stack.append(self._memo[argument])
+            case "MARK":
+                stack.append(_MARK)
+            case "EMPTY_LIST":
+                stack.append([])
+            case "LIST":
+                stack.append(self._since_mark())
+            case "TUPLE":
+                stack.append(tuple(self._since_mark()))
+            case "APPEND":
+                item = stack.pop()
+                _list_of(stack[-1]).append(item)
+            case "APPENDS":
+                items = self._since_mark()
+                _list_of(stack[-1]).extend(items)
+            case "GLOBAL":
+                stack.append(_named(argument.replace(" ", ".", 1)))
+            case "STACK_GLOBAL":
+                inner = stack.pop()
+                stack.append(_named(f"{stack.pop()}.{inner}"))
+            case "REDUCE":
+                arguments, function = stack.pop(), stack.pop()
+                stack.append(self._called(function, arguments))
+            case "BUILD":
+                state, made = stack.pop(), stack[-1]
+                if not isinstance(made, _Made) or not isinstance(state, tuple):
+                    raise TypeError("it changes what is no array")
+                made.state = state
+            case _:
+                raise ValueError(f"it uses the step {name}")
 
     def _since_mark(self) -> list[Any]:
-        place = next((row for row in range(len(self._stack) - 1, -1, -1) if self._stack[row] is _Mark), None)
+        place = next((row for row in range(len(self._stack) - 1, -1, -1) if self._stack[row] is _MARK), None)
         if place is None:
             raise ValueError("its steps do not fit together")
         items = self._stack[place + 1 :]

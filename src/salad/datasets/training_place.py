@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from salad.errors import BenchmarkError
-from salad.geo import GeoPoint
+from salad.geo import GeoPoint, centre
 
 FEWEST = 4  # GSV-Cities' own rule: a place with fewer photos is left out
 
@@ -63,16 +64,47 @@ def clock(time: datetime | None) -> datetime:
     return datetime.min if time is None else time.replace(tzinfo=None)
 
 
-def tell_missing(table: Path, missing: list[Path], say: Say | None) -> None:
-    """Say that a table names photos in vain, in one sentence; where nobody listens, refuse.
+class PlaceRow(NamedTuple):
+    """A photo as a line of a table has it: its file, whether that is there, its place, and by what it is sorted."""
+
+    path: Path
+    there: bool
+    city: str
+    place: str
+    where: GeoPoint | None
+    age: Any
+
+
+def places_of(table: Path, rows: Iterable[PlaceRow], say: Say | None) -> list[TrainingPlace]:
+    """The places of a table with at least `FEWEST` photos, in the order they come.
+
+    Args:
+        table: Its file, for sentences.
+        rows: Its lines.
+        say: Takes a sentence where photos are missing, which are then left out.
 
     Raises:
-        BenchmarkError: If some are missing and `say` is None.
+        BenchmarkError: If a photo is missing and nobody listens.
     """
-    if not missing:
-        return
-    more = f" (nor are {len(missing) - 1} more)" if len(missing) > 1 else ""
-    fault = f"{table} names {missing[0].name}, which is not in {missing[0].parent}{more}"
-    if say is None:
-        raise BenchmarkError(f"{fault}: fetch what is missing, or take its lines out of the table")
-    say(f"{fault}: left out")
+    missing: list[Path] = []
+    taken: dict[tuple[str, str], list[PlaceRow]] = {}
+    for row in rows:
+        if row.there:
+            taken.setdefault((row.place, row.city), []).append(row)
+        else:
+            missing.append(row.path)
+    if missing:
+        more = f" (nor are {len(missing) - 1} more)" if len(missing) > 1 else ""
+        fault = f"{table} names {missing[0].name}, which is not in {missing[0].parent}{more}"
+        if say is None:
+            raise BenchmarkError(f"{fault}: fetch what is missing, or take its lines out of the table")
+        say(f"{fault}: left out")
+    places = []
+    for place, photos in taken.items():
+        if len(photos) >= FEWEST:
+            points = [row.where for row in photos if row.where is not None]
+            # Where only some photos say where they were taken, the others may be anywhere.
+            where = centre(points) if len(points) == len(photos) else None
+            oldest_first = tuple(row.path for row in sorted(photos, key=lambda row: row.age))
+            places.append(TrainingPlace(*place, oldest_first, where))
+    return places

@@ -11,31 +11,20 @@ Source: Ali-bey et al., "GSV-Cities: Toward appropriate supervised visual place 
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from salad.datasets.compact_lists import PhotoList, Ragged
 from salad.datasets.folders import names_in
 from salad.datasets.readers.base import Layout, Protocol, Sides
-from salad.datasets.training_place import FEWEST, Say, TrainingPlace, tell_missing
+from salad.datasets.training_place import PlaceRow, Say, TrainingPlace, places_of
 from salad.errors import BenchmarkError, PositionError
-from salad.geo import GeoPoint, centre, in_degrees
+from salad.geo import GeoPoint, in_degrees
 from salad.tables import CsvError, read_csv
 
 TABLES, PHOTOS = "Dataframes", "Images"
-
-
-class _GsvRow(NamedTuple):
-    """One line of a table; by year and month, then by name, rows stand oldest first."""
-
-    month: str
-    name: str
-    place: str
-    where: GeoPoint
 
 
 def is_gsv_cities(root: Path) -> bool:
@@ -53,38 +42,24 @@ def read_gsv_cities(root: Path, *, say: Say | None = None) -> list[TrainingPlace
     Raises:
         BenchmarkError: If a line of a table cannot be read; or, without `say`, if a photo is missing.
     """
-    places: list[TrainingPlace] = []
-    for table in sorted((root / TABLES).glob("*.csv")):
-        folder = root / PHOTOS / table.stem
-        there = names_in(folder)
-        taken: dict[str, list[_GsvRow]] = defaultdict(list)
-        missing: list[Path] = []
-        for row in _rows(table):
-            # Photos end in either, and each must be found without a look at the disk.
-            found = next((name for name in (f"{row.name}.jpg", f"{row.name}.JPG") if name in there), None)
-            if found is None:
-                missing.append(folder / f"{row.name}.jpg")
-            else:
-                taken[row.place].append(row._replace(name=found))
-        tell_missing(table, missing, say)
-        for name, rows in taken.items():
-            if len(rows) >= FEWEST:
-                photos = tuple(folder / row.name for row in sorted(rows, key=lambda row: row[:2]))
-                where = centre([row.where for row in rows])
-                places.append(TrainingPlace(name, f"{root.name}/{table.stem}", photos, where))
-    return places
+    tables = sorted((root / TABLES).glob("*.csv"))
+    return [place for table in tables for place in places_of(table, _rows(root, table), say)]
 
 
-def _rows(table: Path) -> Iterator[_GsvRow]:
-    line = 1
+def _rows(root: Path, table: Path) -> Iterator[PlaceRow]:
+    folder, city = root / PHOTOS / table.stem, f"{root.name}/{table.stem}"
+    names, line = names_in(folder), 1
     try:
         for line, fields in read_csv(table, strict=False, missing=None):
             month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
             # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
-            lat, lon, city = fields["lat"], fields["lon"], fields["city_id"]
-            place, heading = int(fields["place_id"]), int(fields["northdeg"])
-            name = f"{city}_{place:07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
-            yield _GsvRow(month, name, fields["place_id"], GeoPoint(float(lat), float(lon)))
+            lat, lon, place = fields["lat"], fields["lon"], fields["place_id"]
+            number, heading = int(place), int(fields["northdeg"])
+            stem = f"{fields['city_id']}_{number:07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
+            # Photos end in either, and each must be found without a look at the disk.
+            name = f"{stem}.JPG" if f"{stem}.jpg" not in names and f"{stem}.JPG" in names else f"{stem}.jpg"
+            where = GeoPoint(float(lat), float(lon))
+            yield PlaceRow(folder / name, name in names, city, place, where, (month, name))
             line += 1  # where the next one begins, should the reader not come to its end
     except (KeyError, TypeError, ValueError, CsvError, PositionError) as error:
         raise BenchmarkError(f"{table}, line {line}: cannot be read ({error!r})") from error
