@@ -186,6 +186,16 @@ def test_damaged_safetensors_are_a_sentence(folder: Path, cut: int) -> None:
         load(folder)
 
 
+def test_numbers_that_arrays_have_no_type_for_are_a_sentence(folder: Path) -> None:
+    path = folder / "model.safetensors"
+    path.unlink()
+    save_file({"aggregator.dustbin": torch.ones(3, dtype=torch.bfloat16)}, path)
+    with pytest.raises(
+        WeightsError, match=r"model\.safetensors holds numbers of a type that is not known here"
+    ):
+        load(folder)
+
+
 def test_missing_and_unknown_tensors_are_listed(folder: Path, tmp_path: Path) -> None:
     path = folder / "model.safetensors"
     tensors = load_file(path)

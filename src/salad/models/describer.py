@@ -122,6 +122,7 @@ class Describer:
             ModelError: If the model runs in another engine than torch.
             MissingExtraError: If torch is not installed.
         """
+        # An exported graph has no gradients, and weights that were trained beside it would not be the ones it runs.
         if not isinstance(self.engine, TorchEngine):
             raise ModelError(
                 f"the model {self.name} runs in {type(self.engine).__name__}, which has no torch module"

@@ -302,6 +302,7 @@ ZOO: dict[str, ZooEntry] = {entry.name: entry for entry in _ENTRIES}
 
 def home() -> Path:
     """Give the folder for what is fetched: `SALAD_HOME` if set, else the platform's cache folder."""
+    # Asked at every call and not once: tests and notebooks set it when the package is imported already.
     chosen = os.environ.get("SALAD_HOME")
     return Path(chosen).expanduser() if chosen else platformdirs.user_cache_path("salad")
 

@@ -129,6 +129,7 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
     weights.pop(UNUSED, None)
     try:
         vit = _vit(weights, heads)
+        # A backbone alone is a model too: its cls token is the plainest descriptor, and training starts from it.
         aggregator = SceneConfig(width=vit.width) if layout == "hub" else _salad(weights)
     except KeyError as error:
         raise WeightsError(f"the tensor {error} is missing; the file may be cut short") from error

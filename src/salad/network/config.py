@@ -121,6 +121,7 @@ VITS: dict[str, ViTConfig] = {
 
 Output = Literal["descriptor", "patches", "cls", "plan"]
 """What a model gives: see `salad.models.engines`."""
+# What every backbone here was trained with.
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 Resample = Literal["bilinear", "bicubic"]
@@ -259,6 +260,7 @@ class ModelConfig:
     @property
     def outputs(self) -> tuple[Output, ...]:
         """What an engine of this model can be asked for."""
+        # From the configuration and not from the weights: who exports or runs a model asks before loading it.
         return ("descriptor", "patches", "cls", *(("plan",) if self.aggregator.has_plan else ()))
 
     def fingerprint(self, weights: Mapping[str, Any]) -> str:

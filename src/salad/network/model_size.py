@@ -49,6 +49,7 @@ def table(*widths: int) -> str:
     ]
     rows, before = [titles, ["---", "---", *["---:"] * 2 * len(widths)]], ""
     for name, config in compared_aggregators(widths[0]).items():
+        # A kind's variants follow it in the table, and are of the same paper.
         paper = "the same" if config.kind == before else config.paper
         sizes = [size_of(name, width) for width in widths]
         rows.append([f"`{name}`", paper, *(f"{number:,}" for size in sizes for number in size)])

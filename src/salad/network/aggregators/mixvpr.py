@@ -34,6 +34,7 @@ class MixVpr(nn.Module):
         """
         self._check(tokens)
         mixed = self.mixers(tokens.patches.transpose(1, 2))
+        # Layers work on the last axis: turned to mix channels, and turned back to mix what is left of the cells.
         kept = self.channels(mixed.transpose(1, 2)).transpose(1, 2)
         return F.normalize(self.rows(kept).flatten(1), dim=1)
 

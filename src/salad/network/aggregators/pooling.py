@@ -43,6 +43,7 @@ class Gem(nn.Module):
     def __init__(self, config: GemConfig) -> None:
         super().__init__()
         self.config, self.dim = config, config.dim
+        # A plain number where it is fixed: then no file of weights holds it, and the configuration alone says it.
         self.power = nn.Parameter(torch.tensor(float(config.power))) if config.learned else config.power
 
     def forward(self, tokens: Tokens) -> Float[Tensor, "batch dim"]:

@@ -48,5 +48,6 @@ class Route(nn.Module):
     def layout(self, tokens: Tokens) -> Float[Tensor, "batch cells"]:
         """What is where: a vector of length 1, in which every cell of the grid counts the same."""
         side = self.config.grid
+        # Averaged first: a linear layer gives the same after the mean as before it, for a cell in place of each token.
         pooled = on_grid(tokens.patches, tokens.grid, (side, side)).flatten(2).transpose(1, 2)
         return F.normalize(F.normalize(self.cell(pooled), dim=2).flatten(1), dim=1)

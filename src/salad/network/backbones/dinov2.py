@@ -159,6 +159,7 @@ class ViT(Backbone):
     def train_last(self, blocks: int) -> None:
         """Leave only the last `blocks` blocks and the final norm to be trained; the stem never is."""
         super().train_last(blocks)
+        # As the paper trains it: patches are cut and placed as DINOv2 learnt to, with all blocks too.
         for name, weight in self.named_parameters():
             if not name.startswith("blocks."):
                 weight.requires_grad_(blocks > 0 and name.startswith("norm."))

@@ -81,7 +81,7 @@ class SamePadConv2d(nn.Conv2d):
 
 
 def _norm(channels: int) -> nn.BatchNorm2d:
-    return nn.BatchNorm2d(channels, eps=1e-3)
+    return nn.BatchNorm2d(channels, eps=1e-3)  # TensorFlow's; torch's own is a hundredth of it
 
 
 class InvertedResidual(nn.Module):
