@@ -36,12 +36,11 @@ def conditions(*packages: str, seed: int | None, **settings: Any) -> dict[str, A
         seed: Of what is drawn at random; None where nothing is.
         settings: What else was chosen.
     """
-    drawn = "nothing is drawn" if seed is None else seed
     return {
         "machine": machine(),
         **{package: installed(package) or "none" for package in packages},
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "seed": drawn,
+        **({} if seed is None else {"seed": seed}),
         **settings,
     }
 

@@ -9,16 +9,14 @@ within float32's own rounding of one another: there no storage could tell which 
 
 from __future__ import annotations
 
-import datetime
 import sys
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-import salad
-from benchmarks.accuracy.recall import SETS, describers
-from benchmarks.machine import machine
+from benchmarks.accuracy.recall import SETS, describer
+from benchmarks.machine import conditions, in_a_line
 from benchmarks.options import EVAL, benchmark_parser
 from salad.images.photo import Photo
 from salad.index.vectors import storable
@@ -55,13 +53,13 @@ def compared(queries: Floats, references: Floats) -> tuple[int, int, float]:
 def main() -> None:
     parser = benchmark_parser(__doc__, data=EVAL, models=["salad-lite"])
     asked = parser.parse_args()
-    print(f"{machine()}, numpy {np.__version__}, {datetime.date.today()}; nothing is drawn at random")
+    print(in_a_line(conditions("numpy", seed=None)))
     print(
         "| model | dim | set | queries | references | first answer changed | of these ties | largest change |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name in asked.models:
-        model = describers().get(name, lambda spec=name: salad.load(spec))()
+        model = describer(name)
         for each in SETS:
             if not (asked.data / each.name).is_dir():
                 print(f"{each.name}: not at {asked.data}, passed over", file=sys.stderr)

@@ -8,7 +8,6 @@ a calibration of its own, so that it is compared at its best; what is printed of
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,7 +17,7 @@ from PIL import Image, ImageOps
 import salad
 from benchmarks.accuracy.calibration import APART_M, SEED, Question, Shown, fitting, held_out
 from benchmarks.accuracy.centring import unit
-from benchmarks.machine import machine
+from benchmarks.machine import conditions, in_a_line
 from benchmarks.options import DATA, benchmark_parser
 from salad.geo import metres
 from salad.images.decode import open_rgb
@@ -81,7 +80,7 @@ def main() -> None:
     asked = parser.parse_args()
     model = salad.load(asked.model)
     here, far = held_out(model, asked.data / "train", asked.city, centred=False)
-    print(f"{machine()}, {datetime.date.today()}, seed {SEED}, {model.name} {model.fingerprint}")
+    print(in_a_line(conditions(seed=SEED, model=f"{model.name} {model.fingerprint}")))
     query_help(model, here, far)
 
 

@@ -2,28 +2,30 @@
 
     python -m benchmarks.accuracy.recall [MODEL ...] [--plain] [--data ../shared/data/eval] [--json figures.jsonl]
 
-A MODEL is a key of `describers()`, or whatever `salad.load` takes: a name of the zoo, a folder, a file. The
+A MODEL is a key of `DESCRIBERS`, or whatever `salad.load` takes: a name of the zoo, a folder, a file. The
 photos are not part of the repository; a set that is not there is passed over with a sentence.
 """
 
 from __future__ import annotations
 
-import datetime
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.machine import machine
-from benchmarks.options import EVAL, benchmark_parser
+from benchmarks.accuracy.baselines import Hog, UntrainedGrid, untrained
+from benchmarks.machine import conditions
+from benchmarks.options import EVAL, SHIPPED, benchmark_parser
 from salad.cli.compare import benchmark_by_rule
 from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError
 from salad.evaluation.evaluate import evaluate
 from salad.evaluation.result import Result
+from salad.models.model_folder import load
 
 SEED = 0  # nothing here is drawn at random but the unused head of the untrained model
 KS = (1, 5, 10, 20)
@@ -64,42 +66,19 @@ SETS = (
 )
 
 
-def describers() -> Mapping[str, Callable[[], Any]]:
-    """Name the models measured by default; each is made only when its turn comes."""
-    return {
-        "hog": _hog,
-        "salad-lite-untrained": lambda: _untrained("gem"),
-        "salad-lite-untrained-average": lambda: _untrained("average"),
-        "salad-lite-untrained-grid": _untrained_grid,
-        "salad-lite-untrained-vlad": lambda: _untrained("vlad"),
-        "salad-lite": lambda: _load("salad-lite"),
-        "salad-lite-route": lambda: _load("salad-lite-route"),
-        "salad-vits": lambda: _load("salad-vits"),
-    }
+DESCRIBERS: Mapping[str, Callable[[], Any]] = {  # made only when its turn comes, since each takes memory
+    "hog": Hog,
+    "salad-lite-untrained": untrained,
+    "salad-lite-untrained-average": partial(untrained, "average"),
+    "salad-lite-untrained-grid": UntrainedGrid,
+    "salad-lite-untrained-vlad": partial(untrained, "vlad"),
+    **{name: partial(load, name) for name in SHIPPED},
+}
 
 
-def _hog() -> Any:
-    from benchmarks.accuracy.hog import Hog
-
-    return Hog()
-
-
-def _untrained(pooling: str) -> Any:
-    from benchmarks.accuracy.untrained import untrained
-
-    return untrained(pooling)
-
-
-def _untrained_grid() -> Any:
-    from benchmarks.accuracy.untrained import UntrainedGrid
-
-    return UntrainedGrid()
-
-
-def _load(spec: str) -> Any:
-    from salad.models.model_folder import load
-
-    return load(spec)
+def describer(name: str) -> Any:
+    """One of `DESCRIBERS`, or whatever `salad.load` takes."""
+    return DESCRIBERS.get(name, partial(load, name))()
 
 
 Row = tuple[str, Set, Result]  # the name a model was asked for by, and what it reached on a set
@@ -122,7 +101,7 @@ def measure(
             print(f"{each.name}: not at {data}, passed over", file=sys.stderr)
     for name in models:
         try:
-            model = describers().get(name, lambda spec=name: _load(spec))()
+            model = describer(name)
         except SaladError as error:
             print(f"{name}: passed over, {error}", file=sys.stderr)
             continue
@@ -149,13 +128,12 @@ def table(rows: Sequence[Row]) -> str:
 def line(row: Row) -> str:
     """Give one figure as a JSON object, with all that is needed to repeat it."""
     name, each, result = row
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
     figure = {"set": each.name, "viewpoint": each.viewpoint, **result.as_dict(), "model": name}
-    return json.dumps({**figure, "machine": machine(), "date": today, "seed": SEED}, ensure_ascii=False)
+    return json.dumps({**figure, **conditions(seed=SEED)}, ensure_ascii=False)
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, data=EVAL, models=list(describers()))
+    parser = benchmark_parser(__doc__, data=EVAL, models=list(DESCRIBERS))
     parser.add_argument("--json", type=Path, help="append the JSON lines here instead of printing them")
     parser.add_argument(
         "--plain", action="store_true", help="descriptors as they are, as papers compare them"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.accuracy import results
-from benchmarks.accuracy.results_sets import section
+from benchmarks.accuracy.results import shipped_section
 
 
 def figure(model: str, first: float, *, of: str = "street", date: str = "2026-01-02") -> str:
@@ -43,7 +43,7 @@ def test_a_table_a_set_with_intervals(tmp_path: Path) -> None:
         figure("salad-lite", 60.0),  # measured again: this one counts
     ]
     file.write_text("\n".join(lines))
-    told = section(file)
+    told = shipped_section(file)
     assert told.count("### ") == 2
     assert "1,200 queries, 30 references, 4 unanswerable; drawn by 17 blocks of neighbouring frames." in told
     street = told[told.index("### street") : told.index("### route")]
@@ -62,7 +62,7 @@ def test_a_line_that_is_no_figure_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "models.jsonl"
     file.write_text("{\n")
     with pytest.raises(ValueError, match="Expecting"):
-        section(file)
+        shipped_section(file)
 
 
 def test_a_grid_without_a_result_keeps_what_the_page_says_of_it(tmp_path: Path) -> None:
