@@ -89,7 +89,7 @@ def test_lite_draws_what_it_has_always_drawn() -> None:
     assert names == [
         *("RandomResizedCrop", "RandomPerspective", "RandomAffine"),
         *("ColorJiggle", "RandomGamma", "RandomPlanckianJitter", "RandomGrayscale"),
-        *("LowResolution", "RandomGaussianBlur", "RandomGaussianNoise", "RandomErasing", "WithinRange"),
+        *("LowResolution", "RandomGaussianBlur", "RandomGaussianNoise", "RandomErasing", "Hardtanh"),
     ]
     torch.manual_seed(9)
     whole = change(photos(6, 24, 36))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from salad.errors import MissingExtraError
-from salad.training.logger import BOARD, BoardWriter
+from salad.training.logger import BOARD, open_board
 
 Teach = Callable[..., Path]
 
@@ -32,12 +32,12 @@ def test_a_run_draws_loss_rate_and_score(teach: Teach, tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_what_was_drawn_too_far_is_wiped(tmp_path: Path) -> None:
-    killed = BoardWriter(tmp_path, step=0)
+    killed = open_board(tmp_path, step=0)
     for step in (1, 2, 3):
-        killed.draw(step, {"loss": 1.0})
+        killed.add_scalar("loss", 1.0, step)
     killed.flush()
-    resumed = BoardWriter(tmp_path, step=2)
-    resumed.draw(3, {"loss": 2.0})
+    resumed = open_board(tmp_path, step=2)
+    resumed.add_scalar("loss", 2.0, 3)
     resumed.close()
     killed.close()
     assert _curves(tmp_path)["loss"] == [1, 2, 3]
@@ -46,4 +46,4 @@ def test_what_was_drawn_too_far_is_wiped(tmp_path: Path) -> None:
 def test_without_tensorboard_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(MissingExtraError, match="curves for TensorBoard needs the 'train' extra"):
-        BoardWriter(tmp_path, step=0)
+        open_board(tmp_path, step=0)

@@ -23,7 +23,7 @@ from salad.network.network import build
 from salad.training import trainer
 from salad.training.batches import ImageCache
 from salad.training.recipe import Recipe
-from salad.training.validation import Judge, judge_by_places_held_out
+from salad.training.validation import precision_held_out
 
 Teach = Callable[..., Path]
 
@@ -270,11 +270,11 @@ def test_runs_of_other_seeds_may_hold_the_same_places_out(
 ) -> None:
     apart: list[set[str]] = []
 
-    def watched(places: Sequence[TrainingPlace], images: ImageCache) -> Judge:
+    def watched(model: Any, places: Sequence[TrainingPlace], images: ImageCache) -> dict[str, float]:
         apart.append({place.photos[0].parent.name for place in places})
-        return judge_by_places_held_out(places, images)
+        return precision_held_out(model, places, images)
 
-    monkeypatch.setattr(trainer, "judge_by_places_held_out", watched)
+    monkeypatch.setattr(trainer, "precision_held_out", watched)
     settings = {"head_steps": 1, "tune_steps": 0}
     for seed in range(4):
         teach(tmp_path / f"own {seed}", recipe={**settings, "seed": seed})

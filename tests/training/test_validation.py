@@ -18,7 +18,7 @@ from salad.errors import BenchmarkError
 from salad.network.config import Preprocessing
 from salad.training import validation
 from salad.training.batches import ImageCache
-from salad.training.validation import average_precision, judge_by_places_held_out, precision_held_out
+from salad.training.validation import average_precision, precision_held_out
 
 
 class ByRedness:
@@ -88,8 +88,7 @@ def test_a_photo_that_cannot_be_read_is_left_out(tmp_path: Path, model: Any) -> 
     broken.write_bytes(b"no photo")
     worse = [dataclasses.replace(places[0], photos=(broken, *places[0].photos)), places[1]]
     images = ImageCache(model.preprocessing)
-    judge = judge_by_places_held_out(worse, images)
-    assert judge(model) == {"x": 100.0, "y": 100.0, "mean": 100.0}
+    assert precision_held_out(model, worse, images) == {"x": 100.0, "y": 100.0, "mean": 100.0}
     assert list(images.broken) == [broken]
     with pytest.raises(BenchmarkError, match="none of the photos of 1 places held out can be read"):
         precision_held_out(model, [dataclasses.replace(places[0], photos=(broken,))], images)

@@ -48,7 +48,8 @@ def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
         raise ModelError(
             f"there is no augmentation {name!r}: choose one of {', '.join(get_args(Augmentation))}"
         )
-    together = nn.Sequential(*changes, WithinRange())
+    # In 0..1 again, whatever noise and rounding made of it.
+    together = nn.Sequential(*changes, nn.Hardtanh(0, 1))
     return together.requires_grad_(False)  # kornia's policies carry numbers that could be learnt
 
 
@@ -138,7 +139,7 @@ def robust_changes(height: int, width: int) -> list[nn.Module]:
         k.RandomGaussianBlur((7, 7), (0.3, 2.5), p=0.15),
         k.RandomMotionBlur((3, 9), 90.0, (-1.0, 1.0), p=0.1),
         k.RandomGaussianNoise(std=0.05, p=0.25),
-        WithinRange(),  # JPEG is of whole numbers within a byte
+        nn.Hardtanh(0, 1),  # JPEG is of whole numbers within a byte
         k.RandomJPEG(jpeg_quality=(8.0, 60.0), p=0.3),
         # what stands in the way
         k.RandomErasing(scale=(0.02, 0.3), p=0.35),
@@ -249,14 +250,6 @@ class OneByOne(nn.Module):
         for number, which in enumerate(torch.randint(len(self.changes), (len(photos),)).tolist()):
             out[number] = self.changes[which](photos[number : number + 1])[0]
         return out
-
-
-class WithinRange(nn.Module):
-    """Values in 0..1, whatever noise and rounding made of them."""
-
-    def forward(self, photos: Photos) -> Photos:
-        """Cut off what is beyond."""
-        return photos.clamp(0, 1)
 
 
 def _drawn(photos: Photos, low: float, high: float) -> Float[Tensor, "batch 1 1 1"]:

@@ -92,12 +92,10 @@ class TrainingState:
                 weight.copy_(self.before_tuning[name].to(weight).lerp(weight, self.tuned_share))
         return kept
 
-    def improved(self, score: float, kept: Network) -> bool:
-        """Take these weights for the best if none had so high a score; whether they are taken."""
-        if score <= self.best["score"]:
-            return False
-        self.best = {"score": score, "weights": copy.deepcopy(kept.state_dict())}
-        return True
+    def remember_best(self, score: float, kept: Network) -> None:
+        """Take these weights for the best if none had so high a score."""
+        if score > self.best["score"]:
+            self.best = {"score": score, "weights": copy.deepcopy(kept.state_dict())}
 
     def state_dict(self, optimizer: torch.optim.Optimizer, scaler: Mapping[str, Any]) -> dict[str, Any]:
         """What `load_state_dict` reads. Its keys are those of runs that others have begun, so they stay."""

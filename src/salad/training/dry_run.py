@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -136,14 +136,8 @@ def _planned_stages(recipe: Recipe, places: Sequence[TrainingPlace] | None) -> l
     return [stage for stage in stages if stage.steps != 0]
 
 
-@dataclass(frozen=True, slots=True)
-class StepCost:
-    """What a stage's step costs here, measured on a small one.
-
-    Args:
-        seconds: of the whole batch, reading left out.
-        megabytes: held while it is learnt from.
-    """
+class StepCost(NamedTuple):
+    """What a stage's step costs here: seconds of the whole batch, reading left out; megabytes held meanwhile."""
 
     seconds: float
     megabytes: float
@@ -175,7 +169,8 @@ def measure_step(model: Network, recipe: Recipe, *, fabric: Any, cached: bool) -
                 part: Part = model.tokens(noise)
         else:
             part = augment(noise)
-        with _HeldBytes() as counter:
+        counter = _HeldBytes()
+        with counter:
             backward_in_parts(
                 fabric, module.train(), parts=[part], labels=labels, objective=objective, seed=0
             )
@@ -189,13 +184,13 @@ def measure_step(model: Network, recipe: Recipe, *, fabric: Any, cached: bool) -
     return StepCost(seconds / sample * recipe.batch * passes, in_bytes / _MEGA)
 
 
-class _HeldBytes:
+class _HeldBytes(torch.autograd.graph.saved_tensors_hooks):
     """Counts the bytes that a step holds for its way back, each stretch of memory once."""
 
     def __init__(self) -> None:
+        super().__init__(self._count, lambda kept: kept)
         self.bytes = 0
         self._seen: set[int] = set()
-        self._hooks = torch.autograd.graph.saved_tensors_hooks(self._count, lambda kept: kept)
 
     def _count(self, tensor: Tensor) -> Tensor:
         storage = tensor.untyped_storage()
@@ -204,10 +199,3 @@ class _HeldBytes:
             self._seen.add(storage.data_ptr())
             self.bytes += storage.nbytes()
         return tensor
-
-    def __enter__(self) -> Self:
-        self._hooks.__enter__()
-        return self
-
-    def __exit__(self, *raised: Any) -> None:
-        self._hooks.__exit__(*raised)

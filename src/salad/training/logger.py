@@ -47,7 +47,7 @@ class RunLogger:
         self.folder, self.identity, self.judge = folder, identity, judge
         self.first, self.processes = first, processes
         self.say: Say = say if first else lambda _: None
-        self._board: BoardWriter | None = None
+        self._board: Any = None  # TensorBoard's writer: torch gives it no types
 
     def begin(
         self, state: TrainingState, saved: Mapping[str, Any] | None, *, config: Mapping[str, Any], board: bool
@@ -68,13 +68,13 @@ class RunLogger:
                     "out differently from here"
                 )
         if board:
-            self._board = BoardWriter(self.folder, step=state.step)
+            self._board = open_board(self.folder, step=state.step)
 
     def draw(self, state: TrainingState, optimizer: torch.optim.Optimizer, loss: float) -> None:
         """Add a step's loss and rate to the curves."""
         if self._board:
-            rate = max(group["lr"] for group in optimizer.param_groups)
-            self._board.draw(state.step, {"loss": loss, "rate": rate})
+            self._board.add_scalar("loss", loss, state.step)
+            self._board.add_scalar("rate", max(group["lr"] for group in optimizer.param_groups), state.step)
 
     def measure(self, state: TrainingState, *, stage: str, loss: float) -> None:
         """Judge the weights that would be kept, take them if they are the best, and tell.
@@ -101,9 +101,10 @@ class RunLogger:
                 )
             measurement[self.identity["judge"]] = figures
             if self._board:
-                self._board.draw(state.step, {f"score/{name}": value for name, value in figures.items()})
+                for name, value in figures.items():
+                    self._board.add_scalar(f"score/{name}", value, state.step)
                 self._board.flush()
-        state.improved(score, kept)
+        state.remember_best(score, kept)
         self.say(checkpoint.append_to_log(self.folder, measurement))
 
     def save(self, state: TrainingState, optimizer: torch.optim.Optimizer, scaler: Mapping[str, Any]) -> None:
@@ -139,7 +140,7 @@ class RunLogger:
         return best
 
 
-class BoardWriter:
+def open_board(folder: Path, *, step: int) -> Any:
     """Curves in the folder `board` of a run, as TensorBoard draws them: `tensorboard --logdir RUN`.
 
     Args:
@@ -149,17 +150,9 @@ class BoardWriter:
     Raises:
         MissingExtraError: If tensorboard is not installed.
     """
-
-    def __init__(self, folder: Path, *, step: int) -> None:
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise MissingExtraError("drawing curves for TensorBoard", "train") from error
-        writer: Any = SummaryWriter  # torch gives it no types
-        self._writer = writer(str(folder / BOARD), purge_step=step + 1)
-        self.flush, self.close = self._writer.flush, self._writer.close
-
-    def draw(self, step: int, values: Mapping[str, float]) -> None:
-        """Add a point to each curve named."""
-        for name, value in values.items():
-            self._writer.add_scalar(name, value, step)
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise MissingExtraError("drawing curves for TensorBoard", "train") from error
+    writer: Any = SummaryWriter
+    return writer(str(folder / BOARD), purge_step=step + 1)

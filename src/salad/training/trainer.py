@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ from salad.training.optim import (
 from salad.training.recipe import Preset, Recipe
 from salad.training.start import start_backbone
 from salad.training.token_cache import TokenCache
-from salad.training.validation import Judge, judge_by_places_held_out
+from salad.training.validation import Judge, precision_held_out
 from salad.training.vocabulary import fit, needs_fitting
 
 Progress = Callable[[int, int | None], None]
@@ -109,7 +110,7 @@ def train(
 
     with closing(BatchLoader(model, recipe, learn_from, sampler=sampler, fabric=fabric)) as batches:
         if judge is None and choose_by:
-            judge = judge_by_places_held_out(choose_by, batches.images_in_use)
+            judge = partial(precision_held_out, places=choose_by, images=batches.images_in_use)
         first, processes = fabric.is_global_zero, fabric.world_size
         logger = RunLogger(to, identity, judge=judge, say=say, first=first, processes=processes)
         logger.say(f"{len(learn_from)} places to learn from, {len(choose_by)} held out to choose by")

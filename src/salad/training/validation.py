@@ -73,11 +73,6 @@ def precision_of(
     return {**precision, "mean": round(float(np.mean(list(precision.values()))), 2)}
 
 
-def judge_by_places_held_out(places: Sequence[TrainingPlace], images: ImageCache) -> Judge:
-    """The judge that is used where none is given."""
-    return lambda model: precision_held_out(model, places, images)
-
-
 def average_precision(right: Bool[np.ndarray, " ranked"]) -> float:
     """Mean, over the right ones of a ranking, of the fraction of right ones down to each; 0 where none is right."""
     ranks = np.flatnonzero(right) + 1
