@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from pages import Page, Sharing
-from salad.demo.demo_page import coordinates, draw_demo_page, town_map, write_demo_page
+from salad.demo.demo_page import coordinates, draw_demo_page, town_map
 from salad.demo.demo_result import DemoResult
 from salad.geo import GeoPoint
 from salad.images.metadata import save_jpeg
 from salad.models.fake import FakeDescriber
+from salad.report.page import write_page
 
 Result = Callable[..., DemoResult]
 
@@ -137,5 +138,5 @@ def test_coordinates_name_their_hemisphere() -> None:
 def test_the_page_replaces_an_older_one(outcome: Result) -> None:
     result = outcome()
     result.page.write_text("older")
-    assert write_demo_page(result) == result.page
+    write_page(result.page, draw_demo_page(result))
     assert result.page.read_text(encoding="utf-8").endswith("</html>\n")

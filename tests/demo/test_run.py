@@ -23,7 +23,7 @@ def test_figures_of_known_answers(outcome: Result) -> None:
     assert result.queries == 6
     assert [result.count(verdict) for verdict in ("right", "wrong", "unknown")] == [3, 2, 1]
     assert result.right_fraction == 0.5
-    assert result.median_error_m == pytest.approx(24.9, rel=1e-3)
+    assert result.median_error() == pytest.approx(24.9, rel=1e-3)
     assert result.median_error("fog") == pytest.approx(42.6, rel=1e-3)
     assert result.count("right", condition="night") == 2
     assert result.conditions == {"night": 3, "fog": 2, "rain": 1}
@@ -32,9 +32,9 @@ def test_figures_of_known_answers(outcome: Result) -> None:
 
 def test_figures_where_nothing_is_known_or_asked(outcome: Result) -> None:
     unknown = outcome({"night": [None]})
-    assert (unknown.median_error_m, unknown.right_fraction) == (None, 0.0)
+    assert (unknown.median_error(), unknown.right_fraction) == (None, 0.0)
     empty = outcome({})
-    assert (empty.median_error_m, empty.right_fraction, empty.conditions) == (None, 0.0, {})
+    assert (empty.median_error(), empty.right_fraction, empty.conditions) == (None, 0.0, {})
 
 
 def test_a_match_without_a_position_is_off_by_nobody_knows(outcome: Result) -> None:

@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from salad.demo.demo_result import VERDICTS, WITHIN_M, DemoResult, Judged
 from salad.geo import GeoPoint, told_metres
 from salad.images.photo import read_photo
 from salad.report.map import Frame, QueryMark
-from salad.report.page import render, write_page
+from salad.report.page import render
 from salad.report.strips import CaptionPart, Figure, Strip, Thumbnails
 
 if TYPE_CHECKING:
@@ -23,11 +22,10 @@ if TYPE_CHECKING:
 BEST = 3  # references shown beside a query
 # Pixels of photos' longer sides: twice of what the page shows, for fine screens.
 QUERY_SIDE, REFERENCE_SIDE = 480, 320
-TINTS = 4  # of house roofs
 
 
-def write_demo_page(result: DemoResult, model: DescriberLike | None = None) -> Path:
-    """Write the page to `result.page`; an older one is replaced whole or not at all.
+def draw_demo_page(result: DemoResult, model: DescriberLike | None = None) -> str:
+    """The page as text.
 
     Args:
         result: What to show.
@@ -35,15 +33,8 @@ def write_demo_page(result: DemoResult, model: DescriberLike | None = None) -> P
             shows the photos alone.
 
     Raises:
-        BenchmarkError: If the page cannot be written.
         PhotoError: If a reference of the town cannot be read.
     """
-    write_page(result.page, draw_demo_page(result, model))
-    return result.page
-
-
-def draw_demo_page(result: DemoResult, model: DescriberLike | None = None) -> str:
-    """The page as text; `model` as for `write_demo_page`."""
     # The strips come first: they open the photos, and only then is it known what the dustbin takes of them.
     thumbnails = Thumbnails(model, clusters=True)
     strips = [_strip(number, one, thumbnails) for number, one in enumerate(result.judged, 1)]
@@ -108,7 +99,6 @@ class TownMap:
     houses: Sequence[str]
     references: Sequence[tuple[float, float, tuple[float, float] | None]]
     queries: Sequence[TownMark]
-    tints: int = TINTS  # in turn, so that neighbours are told apart
 
 
 def town_map(result: DemoResult) -> TownMap:

@@ -96,13 +96,8 @@ class DemoResult:
         """Right answers among all queries, unknown ones included, 0 to 1; 0 where nothing was asked."""
         return self.count("right") / self.queries if self.queries else 0.0
 
-    @property
-    def median_error_m(self) -> float | None:
-        """Median metres between place and truth over the answered queries; None where none was."""
-        return self.median_error(None)
-
-    def median_error(self, condition: str | None) -> float | None:
-        """The same under one condition."""
+    def median_error(self, condition: str | None = None) -> float | None:
+        """Median metres between place and truth over the answered queries, all or of one condition, if any."""
         # What is unknown has no error: the median is of the answers that were given.
         errors = [
             one.error_m

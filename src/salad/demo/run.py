@@ -12,13 +12,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salad.demo.demo_page import write_demo_page
+from salad.demo.demo_page import draw_demo_page
 from salad.demo.demo_result import DemoResult, Judged
 from salad.demo.town.town import Town, draw_town
 from salad.errors import StoreError
 from salad.index.build import index_photos
 from salad.index.index import Index
 from salad.localize.locate import Answer, locate_many
+from salad.report.page import write_page
 
 if TYPE_CHECKING:
     from salad.models.describer import DescriberLike
@@ -88,7 +89,7 @@ def run_demo(
         index=folder,
     )
     say("Drawing the page")
-    write_demo_page(result, model)
+    write_page(result.page, draw_demo_page(result, model))
     return result
 
 

@@ -275,9 +275,8 @@ class Facade(Canvas):
         # The plant thins out with height and with the distance from its edge; noise frays its outline.
         leaves = growth + 0.3 * noise(self.kind.shape, [*self.style.seed, 24], 6, 4) > 0.25
         rows, columns = np.nonzero(leaves & (self.kind == 1))
-        shade = rng.uniform(
-            0.45, 1.35, (self.kind.shape[0] // 3 + 1, self.kind.shape[1] // 4 + 2)
-        )  # a leaf is 3 by 4 texels
+        leaves_up, leaves_across = self.kind.shape[0] // 3 + 1, self.kind.shape[1] // 4 + 2
+        shade = rng.uniform(0.45, 1.35, (leaves_up, leaves_across))  # a leaf is 3 by 4 texels
         leaf = shade[rows // 3, (columns + rows // 3 % 2 * 2) // 4, None]
         self.rgb[rows, columns] = np.array([62, 90, 48]) * leaf
 

@@ -39,12 +39,9 @@ class Field:
 
 def _cells(plan: TownPlan, margin: float = 0.0) -> tuple[Floats, Floats, float, float]:
     west, south, east, north = plan.box
-    columns, rows = (
-        np.arange(west - margin, east + margin, CELL),
-        np.arange(south - margin, north + margin, CELL),
-    )
-    x, y = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
-    return x, y, west - margin, south - margin
+    columns = np.arange(west - margin, east + margin, CELL).astype(np.float32)
+    rows = np.arange(south - margin, north + margin, CELL).astype(np.float32)
+    return *np.meshgrid(columns, rows), west - margin, south - margin
 
 
 @dataclass(frozen=True)
@@ -176,24 +173,15 @@ def shadows(high: Field, towards: NDArray[np.float64]) -> Field:
     """Up to which height each cell lies in the shade of what stands `towards` the sun (a unit vector)."""
     level = float(np.hypot(towards[0], towards[1]))
     top = float(high.values.max(initial=0.0))
-    tall = high.values[..., 0]
-    shade = np.zeros_like(tall)
+    shade = np.zeros_like(high.values[..., 0])
+    rows, columns = shade.shape
     # One cell a step along the longer way, so that nothing is stepped over.
     stride = CELL * level / float(np.abs(towards[:2]).max())
-    for step in np.arange(stride, min(top / towards[2] * level, 120.0) + stride, stride):
-        rows, columns = (round(step * towards[axis] / level / CELL) for axis in (1, 0))
+    reach = min(top / towards[2] * level, 120.0) + stride
+    margin = round(reach / CELL) + 1  # nothing stands out there, and no step looks beyond it
+    tall = np.pad(high.values[..., 0], margin)
+    for step in np.arange(stride, reach, stride):
+        east, north = (margin + round(step * part / level / CELL) for part in towards[:2])
         drop = np.float32(step * towards[2] / level)
-        mine, theirs = _shifted(shade.shape, rows, columns)
-        np.maximum(shade[mine], tall[theirs] - drop, out=shade[mine])
+        np.maximum(shade, tall[north : north + rows, east : east + columns] - drop, out=shade)
     return Field(shade[..., None], high.west, high.south)
-
-
-def _shifted(
-    shape: tuple[int, ...], rows: int, columns: int
-) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Where a grid and itself moved by so many cells lie over each other."""
-    mine, theirs = [], []
-    for size, move in zip(shape, (rows, columns), strict=True):
-        mine.append(slice(max(0, -move), max(0, min(size, size - move))))
-        theirs.append(slice(min(size, max(0, move)), max(0, min(size, size + move))))
-    return (mine[0], mine[1]), (theirs[0], theirs[1])

@@ -26,7 +26,6 @@ class Studio:
     plan: TownPlan
     textures: dict[Skin, Texture] = field(default_factory=dict)
     shades: dict[tuple[str, int], Field] = field(default_factory=dict)
-    houses: list[Faces] = field(default_factory=list)
 
     @staticmethod
     @lru_cache(maxsize=1)
@@ -84,11 +83,9 @@ class Studio:
 
     def lamps(self, shot: Shot) -> NDArray[np.float64]:
         """The lamps near enough to matter ``[L, 3]``."""
-        places: NDArray[np.float64] = np.array([[*lamp.where, 4.75] for lamp in self.plan.lamps]).reshape(
-            -1, 3
-        )
+        places = np.array([(*lamp.where, 4.75) for lamp in self.plan.lamps], np.float64).reshape(-1, 3)
         near = np.linalg.norm(places[:, :2] - shot.camera.position[:2], axis=1) < 55
-        return np.asarray(places[near], np.float64)
+        return np.asarray(places[near])
 
     def shade(self, shot: Shot, parked: tuple[Thing, ...]) -> Field:
         """The shadows of a visit."""
