@@ -11,6 +11,7 @@ import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +26,9 @@ CsvError = csv.Error
 _ROWS = 1000  # of Parquet in memory
 
 
-def as_written(names: list[str]) -> list[str]:
-    """The `Header` that takes whatever columns there are."""
-    return names
-
-
 def read_csv(
     path: Path,
-    header: Header = as_written,
+    header: Header = list,
     *,
     strict: bool = True,
     errors: str = "strict",
@@ -42,7 +38,7 @@ def read_csv(
 
     Args:
         path: The file.
-        header: Looks at the columns' names.
+        header: Looks at the columns' names; where it is not given, whatever columns there are will do.
         strict: Whether quotes that are never closed are an error, or are read as far as the file goes.
         errors: What becomes of bytes that are not UTF-8, as `open` has it: "surrogateescape" keeps names of files
             that are no text.
@@ -64,12 +60,12 @@ def read_csv(
             yield reader.line_num, fields
 
 
-def read_parquet(path: Path, header: Header = as_written) -> Iterator[tuple[int, dict[str, Any]]]:
+def read_parquet(path: Path, header: Header = list) -> Iterator[tuple[int, dict[str, Any]]]:
     """The rows of a Parquet file, one after another; memory stays small.
 
     Args:
         path: The file.
-        header: Looks at the columns' names, where there is any row at all.
+        header: As `read_csv`, where there is any row at all.
 
     Yields:
         The number of the row, from 1, and its values by the columns' names.
@@ -125,16 +121,9 @@ def csv_line(values: Iterable[object]) -> str:
         TypeError: If `values` cannot be gone through.
     """
     # Older Pythons put quotes around an end of line only where it holds a character of their own line's end.
-    end = "\r\n"
-    line: str = csv.writer(_Back(), lineterminator=end).writerow(values)
-    return line.removesuffix(end) + "\n"
-
-
-class _Back:
-    """A file for csv's writer that hands each line back to whoever wrote it."""
-
-    def write(self, line: str) -> str:
-        return line
+    line, end = StringIO(newline=""), "\r\n"
+    csv.writer(line, lineterminator=end).writerow(values)
+    return line.getvalue().removesuffix(end) + "\n"
 
 
 def _arrow(doing: str) -> tuple[Any, Any]:

@@ -7,13 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from salad.ablation.comparison import (
-    MeanOverSeeds,
-    ModelLine,
-    benchmark_columns,
-    leader,
-    published_protocols,
-)
+from salad.ablation.comparison import MeanOverSeeds, ModelLine, benchmark_columns, leader, published_protocols
 
 # All in pixels.
 PLOT_WIDTH, LINE_HEIGHT, NAMES_WIDTH = 230, 22, 190
@@ -39,14 +33,7 @@ STYLE = """
 
 @dataclass(frozen=True, slots=True)
 class _ChartMark:
-    """One model's figure in a panel.
-
-    Args:
-        name: the model's.
-        figure: what was measured.
-        caveat: why it stands apart from the others; nothing where it does not.
-        leads: whether it leads all others by more than the deviation.
-    """
+    """One model's figure in a panel: why it stands apart from the others, and whether it leads them all for sure."""
 
     name: str
     figure: MeanOverSeeds
@@ -62,13 +49,7 @@ class _ChartMark:
 
 @dataclass(frozen=True, slots=True)
 class _ChartPanel:
-    """One axis, in percent.
-
-    Args:
-        title: what was measured.
-        marks: one a line of the table, or none.
-        ours: whether we measured it.
-    """
+    """One axis, in percent, with a mark or none for each line of the table; `ours`, or the paper's."""
 
     title: str
     marks: tuple[_ChartMark | None, ...]
@@ -133,14 +114,9 @@ class _ChartPanel:
 
 
 def comparison_chart(lines: Sequence[ModelLine], title: str) -> str:
-    """R@1 of every line in every column, ours as discs with bars, the published as rings, as one SVG.
+    """R@1 of every line in every column, ours as discs with bars, the published as rings, as one SVG file.
 
-    Args:
-        lines: the models, the first on top.
-        title: stands above the picture.
-
-    Returns:
-        A whole file; with no figure to show, a picture that says so.
+    With no figure to show it is a picture that says so.
     """
     panels = _panels(lines)
     # The paper's panels begin a row of their own, so that nobody reads its figures as ours.
@@ -178,18 +154,19 @@ def _panels(lines: Sequence[ModelLine]) -> list[_ChartPanel]:
     panels = []
     for column in benchmark_columns(lines):
         first = leader(lines, column)
-        found = [(line, line.recall(column)) for line in lines]
-        marks = (
-            _ChartMark(line.name, figure, leads=line is first) if figure else None for line, figure in found
+        marks = tuple(
+            _ChartMark(line.name, figure, leads=line is first) if (figure := line.recall(column)) else None
+            for line in lines
         )
-        panels.append(_ChartPanel(str(column), tuple(marks), ours=True))
+        panels.append(_ChartPanel(str(column), marks, ours=True))
     for protocol in published_protocols(lines):
-        published = [(line, line.published.get(protocol)) for line in lines]
-        rings = (
-            _ChartMark(line.name, MeanOverSeeds.of([theirs.percent]), theirs.caveat) if theirs else None
-            for line, theirs in published
+        rings = tuple(
+            _ChartMark(line.name, MeanOverSeeds.of([theirs.percent]), theirs.caveat)
+            if (theirs := line.published.get(protocol))
+            else None
+            for line in lines
         )
-        panels.append(_ChartPanel(f"paper: {protocol}", tuple(rings), ours=False))
+        panels.append(_ChartPanel(f"paper: {protocol}", rings, ours=False))
     return [panel for panel in panels if any(panel.marks)]  # a column may have no R@1
 
 

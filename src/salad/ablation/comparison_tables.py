@@ -131,12 +131,7 @@ def _distinct(sentences: Iterable[str]) -> str:
 
 
 def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> str:
-    """A table of R@1 with the published figures beside ours, and under it where the order is another.
-
-    Args:
-        lines: the models, in the order they are to stand in.
-        notes: sentences for under the table, before those about the order.
-    """
+    """A table of R@1 with the published figures beside ours; under it stand the notes, and where the order is another."""
     if not lines:
         return "There is no result yet."
     columns, protocols, facts = benchmark_columns(lines), published_protocols(lines), _fact_titles(lines)
@@ -213,19 +208,11 @@ def csv_table(lines: Sequence[ModelLine]) -> str:
                 found = line.recall(column, k)
                 if found:
                     deviation = "" if found.deviation is None else f"{found.deviation:.3f}"
-                    figure = [
-                        column.benchmark,
-                        column.protocol,
-                        k,
-                        f"{found.mean:.3f}",
-                        deviation,
-                        found.seeds,
-                        "",
-                    ]
-                    table.append(["ours", line.name, *figure, *known])
+                    figure = [k, f"{found.mean:.3f}", deviation, found.seeds, ""]
+                    table.append(["ours", line.name, column.benchmark, column.protocol, *figure, *known])
         for protocol, theirs in line.published.items():
-            figure = [protocol, protocol, 1, theirs.percent, "", "", theirs.caveat]
-            table.append(["paper", line.name, *figure, *([""] * len(facts))])
+            figure = [1, theirs.percent, "", "", theirs.caveat]
+            table.append(["paper", line.name, protocol, protocol, *figure, *([""] * len(facts))])
     return "".join(map(csv_line, table))
 
 

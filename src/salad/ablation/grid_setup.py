@@ -55,11 +55,6 @@ class GridSetup:
         size = self.preprocessing
         return max(1, round(size.height / self.stride)), max(1, round(size.width / self.stride))
 
-    @property
-    def side_of_fewer_tokens(self) -> int:
-        """A side in pixels for training with fewer tokens than are used, as the paper trains."""
-        return max(1, round(self.preprocessing.height * TRAINING_SIDE / self.stride)) * self.stride
-
 
 def grid_setup(start: str = IMAGENET, *, side: int, recipe: Recipe, depth: int | None = None) -> GridSetup:
     """The setup that a start asks for.
@@ -125,7 +120,8 @@ def row_preset(setup: GridSetup, row: GridRow, *, seed: int) -> Preset:
         raise ModelError(f"the row {row.name} trains {blocks} blocks, but the backbone has {setup.blocks}")
     recipe = replace(setup.recipe, seed=seed, tuned_blocks=blocks)
     if row.fewer_tokens:
-        recipe = replace(recipe, size=setup.side_of_fewer_tokens)
+        rows = max(1, round(setup.preprocessing.height * TRAINING_SIDE / setup.stride))
+        recipe = replace(recipe, size=rows * setup.stride)
     head = any(weight.requires_grad for weight in build(config).aggregator.parameters())
     if row.fitted or not (head or blocks):
         recipe = replace(recipe, head_steps=0, tune_steps=0)

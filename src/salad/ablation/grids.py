@@ -79,10 +79,7 @@ _AGGREGATORS = (
     GridRow("salad", "SALAD", paper=_paper(_THREE, 92.2, 76.0, 92.1)),
     GridRow("netvlad", "NetVLAD", "netvlad", paper=_paper(_THREE, 92.4, 71.8, 90.8)),
     GridRow(
-        "netvlad-linear",
-        "NetVLAD with reduction",
-        "netvlad-linear",
-        paper=_paper(_THREE, 90.1, 70.1, 90.6),
+        "netvlad-linear", "NetVLAD with reduction", "netvlad-linear", paper=_paper(_THREE, 90.1, 70.1, 90.6)
     ),
     GridRow("gem", "GeM", "gem", paper=_paper(_THREE, 85.4, 35.4, 83.0)),
     # A row without `paper` is one that we ask about and the paper does not.
@@ -96,12 +93,7 @@ _AGGREGATORS = (
     GridRow("boq", "BoQ", "boq"),
     # AnyLoc learns nothing: its vocabulary is fitted to the photos, and the backbone stays as it is.
     GridRow(
-        "vlad",
-        "VLAD without training",
-        "vlad",
-        blocks=0,
-        fitted=True,
-        paper=_paper(_THREE, 68.7, 16.1, 85.3),
+        "vlad", "VLAD without training", "vlad", blocks=0, fitted=True, paper=_paper(_THREE, 68.7, 16.1, 85.3)
     ),
 )
 

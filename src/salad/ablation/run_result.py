@@ -16,10 +16,8 @@ from salad.errors import ModelError
 from salad.files import write_whole
 from salad.training.recipe import with_defaults
 
-RESULT_FILE, FORMAT = (
-    "result.json",
-    1,
-)  # the number of the format goes up where a reader of before would misread it
+RESULT_FILE = "result.json"
+FORMAT = 1  # goes up where a reader of before would misread it
 RUN_IDENTITY = ("row", "seed", "preset", "start", "data")
 """What makes a run another run, where it differs."""
 SETTINGS_OF_A_ROW = ("seed", "head_steps", "tune_steps", "tuned_blocks", "size")

@@ -141,10 +141,8 @@ class GridRunner:
             "recipe": asdict(preset.recipe),
         }
         identity = dict(zip(RUN_IDENTITY, (row.name, seed, in_words, start, data), strict=True))
-        as_json_holds_it = json.loads(
-            json.dumps(identity)
-        )  # a result read back has lists where this has tuples
-        return _GridRun(row, preset, run_folder(self.to, row.name, seed), as_json_holds_it)
+        identity = json.loads(json.dumps(identity))  # a result read back has lists where this has tuples
+        return _GridRun(row, preset, run_folder(self.to, row.name, seed), identity)
 
     def _found(self, run: _GridRun) -> RunResult | None:
         """The result that is there already.

@@ -51,9 +51,7 @@ def lat_lon_of(
 ) -> Float64[np.ndarray, "n 2"]:
     """Latitudes and longitudes in degrees, millions at once; NaN where there is no zone, or metres are off the grid.
 
-    Args:
-        metres: East and north.
-        zone: Negative south of the equator, 0 where unknown.
+    Metres are east and north; zones are numbered as in `Coordinates`.
     """
     lat_lon = np.full((len(metres), 2), np.nan)
     east, north = metres.T

@@ -37,10 +37,7 @@ def near_on_earth(
 ) -> Ragged:
     """For each query the rows of the references at most `radius` metres away along the great circle, ascending.
 
-    Args:
-        queries: Latitudes and longitudes in degrees.
-        references: The same.
-        radius: Metres, above 0.
+    Both sides are latitudes and longitudes in degrees.
     """
 
     def distance(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -150,12 +147,7 @@ def squares(
     Rows are `side_m` high. Each is cut into a whole number of pieces at most that wide, so it closes at the date
     line without a rest, and needs no UTM zone.
 
-    Args:
-        lat_lon: `[N, 2]` degrees.
-        side_m: Metres.
-
-    Returns:
-        Two arrays `[N]`.
+    Points are `[N, 2]` degrees; what comes back is two arrays `[N]`.
     """
     lat, lon = lat_lon.T
     high = math.degrees(side_m / EARTH_RADIUS_M)

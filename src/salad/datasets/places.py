@@ -133,10 +133,6 @@ def read_places(table: Path, *, say: Say | None = None) -> list[TrainingPlace]:
 
     Photos of a place stand in order of time, those without one first, and else as the table has them.
 
-    Args:
-        table: The file.
-        say: Takes a sentence where photos are missing, which are then left out.
-
     Raises:
         BenchmarkError: If the table or one of its lines cannot be read; or, without `say`, if a photo is missing.
     """
@@ -173,9 +169,8 @@ def _row(table: Path, fields: dict[str, str], names: Callable[[Path], frozenset[
     lat, lon, time, city = (fields.get(column, "").strip() for column in ("lat", "lon", "time", "city"))
     where = GeoPoint(float(lat), float(lon)) if lat or lon else None
     path, place = fields["path"].strip(), fields["place"].strip()
-    if (
-        not path or not place or "\0" in path or None in fields
-    ):  # None holds fields that no column is there for
+    # None holds fields that no column is there for.
+    if not path or not place or "\0" in path or None in fields:
         raise ValueError("it needs a path and a place, and no more fields than the header")
     photo, city = table.parent / path, f"{table.parent.name}/{city}" if city else table.parent.name
     age = clock(datetime.fromisoformat(time) if time else None)

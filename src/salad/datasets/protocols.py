@@ -46,13 +46,7 @@ LAYOUTS: dict[str, Layout] = {
 """The ways in which sets lie on disk, by name: a reader more is a file in `readers/` and a line here."""
 
 _NETVLAD = "the authors of NetVLAD on request (www.di.ens.fr/willow/research/netvlad)"
-_DOWNLOADER = "github.com/gmberton/VPR-datasets-downloader, which fetches and names it"
 _ON_REQUEST = "for research, photos on request"
-_NORDLAND = (
-    "NRK's films of the line (nrkbeta.no), by the list of 27,592 frames at github.com/QVPR/Patch-NetVLAD",
-    "as NRK publishes them: see there",
-)
-_SFXL = ("github.com/gmberton/CosPlace on request", "for research, Street View photos on request")
 
 
 def _msls(
@@ -89,15 +83,22 @@ def _pittsburgh(name: str, stem: str, split: str, references: int, queries: int)
 
 
 def _nordland(name: str, rule: Frames | EveryNth, references: int, queries: int, *layouts: str) -> Protocol:
-    get, licence = _NORDLAND
     return Protocol(
-        name, rule, ("drives", *layouts), references, queries, stems=("nordland",), get=get, licence=licence
+        name,
+        rule,
+        ("drives", *layouts),
+        references,
+        queries,
+        stems=("nordland",),
+        get="NRK's films of the line (nrkbeta.no), by the list of 27,592 frames at github.com/QVPR/Patch-NetVLAD",
+        licence="as NRK publishes them: see there",
     )
 
 
 def _by_folder(name: str, *stems: str, sides: tuple[str, str] = ("database", "queries")) -> Protocol:
+    get = "github.com/gmberton/VPR-datasets-downloader, which fetches and names it"
     return Protocol(
-        name, Radius(25.0), ("@ names",), stems=stems, sides=(sides,), get=_DOWNLOADER, licence="see its page"
+        name, Radius(25.0), ("@ names",), stems=stems, sides=(sides,), get=get, licence="see its page"
     )
 
 
@@ -150,8 +151,8 @@ PROTOCOLS: dict[str, Protocol] = {
                 about=50_000,  # the published number is round
                 stems=("sf_xl", "sfxl"),
                 sides=(("database", f"queries_v{version}"),),
-                get=_SFXL[0],
-                licence=_SFXL[1],
+                get="github.com/gmberton/CosPlace on request",
+                licence="for research, Street View photos on request",
             )
             for version, queries in ((1, 1_000), (2, 598))
         ),

@@ -30,14 +30,9 @@ Plain = Shaped[np.ndarray, "..."]
 
 
 def plain_array(data: bytes, code: str, shape: tuple[int, ...], fortran: bool, at: str) -> Plain:
-    """The array that bytes hold; `at` names their file in sentences.
+    """The array that bytes hold, which may go on behind it; `at` names their file in sentences.
 
-    Args:
-        data: The bytes, which may go on behind the array.
-        code: What an item is, as numpy writes it: `<i8`, `|S5`.
-        shape: How many items along each axis.
-        fortran: Whether the first axis runs fastest.
-        at: The file.
+    `code` says what an item is, as numpy writes it: `<i8`, `|S5`. In `fortran` order the first axis runs fastest.
 
     Raises:
         BenchmarkError: If items are neither numbers nor texts, there are too many, or the bytes end before them.
@@ -276,9 +271,7 @@ Value = Plain | list[Any]
 class Arrays:
     """What a file holds: a plain array, or the items of an object array, each an int, a text or an array.
 
-    Attributes:
-        value: The array or the items.
-        at: Which file, for sentences.
+    `at` names the file in sentences.
     """
 
     value: Value

@@ -13,8 +13,8 @@ from salad.geo import GeoPoint, centre
 
 FEWEST = 4  # GSV-Cities' own rule: a place with fewer photos is left out
 
-# Takes a sentence for people, while work goes on.
 Say = Callable[[str], None]
+"""Takes a sentence for people while work goes on, such as one on photos that are missing and were left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,13 +78,8 @@ class PlaceRow(NamedTuple):
 def places_of(table: Path, rows: Iterable[PlaceRow], say: Say | None) -> list[TrainingPlace]:
     """The places of a table with at least `FEWEST` photos, in the order they come.
 
-    Args:
-        table: Its file, for sentences.
-        rows: Its lines.
-        say: Takes a sentence where photos are missing, which are then left out.
-
     Raises:
-        BenchmarkError: If a photo is missing and nobody listens.
+        BenchmarkError: If a photo is missing, and `say` is None.
     """
     missing: list[Path] = []
     taken: dict[tuple[str, str], list[PlaceRow]] = {}

@@ -166,9 +166,8 @@ def _frames(photos: PhotoList) -> Int64[np.ndarray, " n"]:
 
 def _within_frames(ours: Int64[np.ndarray, " q"], theirs: Int64[np.ndarray, " r"], tolerance: int) -> Ragged:
     """For each query the rows of the references whose frame is at most `tolerance` from its own."""
-    order = np.argsort(
-        theirs, kind="stable"
-    )  # names need not sort by their numbers: 9.jpg comes after 10.jpg
+    # Names need not sort by their numbers: 9.jpg comes after 10.jpg.
+    order = np.argsort(theirs, kind="stable")
     starts = np.searchsorted(theirs[order], ours - tolerance, side="left")
     stops = np.searchsorted(theirs[order], ours + tolerance, side="right")
     return Ragged.of(np.sort(order[start:stop]) for start, stop in zip(starts, stops, strict=True))

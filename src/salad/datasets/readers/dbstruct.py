@@ -37,13 +37,10 @@ def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     """
     fields = read_struct(path, "dbStruct")
     # Some copies call their fields otherwise, but keep their order.
-    named = (
-        fields
-        if all(name in fields for name in _FIELDS[1:5])
-        else dict(zip(_FIELDS, fields.values(), strict=False))
-    )
+    if not fields.keys() >= set(_FIELDS[1:5]):
+        fields = dict(zip(_FIELDS, fields.values(), strict=False))
     # A file for another distance looks just the same, and would judge by it in silence.
-    distance = named.get("posDistThr")
+    distance = fields.get("posDistThr")
     if isinstance(distance, np.ndarray) and distance.size == 1 and isinstance(protocol.rule, Radius):
         metres = float(distance.ravel()[0])
         if metres != protocol.rule.metres:
@@ -54,13 +51,13 @@ def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     # The names are below a folder that the file does not name, and each copy of a set has its own.
     homes = [root, root / "images", path.parent, root / "raw_data", *(root / stem for stem in protocol.stems)]
     below = [home / queries for home in homes for queries in _QUERIES]
-    references, theirs = _side(path, named.get("dbImageFns"), named.get("utmDb"), homes, protocol.zone)
-    queries, ours = _side(path, named.get("qImageFns"), named.get("utmQ"), below, protocol.zone)
+    references, theirs = _side(path, fields.get("dbImageFns"), fields.get("utmDb"), homes, protocol.zone)
+    queries, ours = _side(path, fields.get("qImageFns"), fields.get("utmQ"), below, protocol.zone)
     return Sides(
         references,
         queries,
         coordinates=(ours, theirs),
-        groups=panoramas([name.strip() for name in named["qImageFns"]]),
+        groups=panoramas([name.strip() for name in fields["qImageFns"]]),
     )
 
 

@@ -35,10 +35,6 @@ def is_gsv_cities(root: Path) -> bool:
 def read_gsv_cities(root: Path, *, say: Say | None = None) -> list[TrainingPlace]:
     """Every place of every city with at least `FEWEST` photos, cities in order of name.
 
-    Args:
-        root: The folder that holds `Dataframes` and `Images`.
-        say: Takes a sentence for each city that lacks photos its table names, which are then left out.
-
     Raises:
         BenchmarkError: If a line of a table cannot be read; or, without `say`, if a photo is missing.
     """
