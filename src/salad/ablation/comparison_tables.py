@@ -131,7 +131,7 @@ def _distinct(sentences: Iterable[str]) -> str:
 
 
 def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> str:
-    """A table of R@1 with the published figures beside ours; under it stand the notes, and where the order is another."""
+    """A table of R@1 with the published figures beside ours; under it the notes, and where the order is another."""
     if not lines:
         return "There is no result yet."
     columns, protocols, facts = benchmark_columns(lines), published_protocols(lines), _fact_titles(lines)

@@ -107,12 +107,9 @@ def read_results(to: Path, rows: Sequence[str]) -> dict[str, list[RunResult]]:
         ModelError: If one of them cannot be read.
     """
     # What is there counts, not what was asked for: a table may be made while seeds are still being trained.
-    found = {row: [read_result(folder) for folder in (to / row).glob("seed*")] for row in rows}
-    return {
-        # by number: as names, seed10 would stand before seed2
-        row: sorted((each for each in results if each is not None), key=lambda each: each.seed)
-        for row, results in found.items()
-    }
+    found = {row: filter(None, map(read_result, (to / row).glob("seed*"))) for row in rows}
+    # by number: as names, seed10 would stand before seed2
+    return {row: sorted(results, key=lambda each: each.seed) for row, results in found.items()}
 
 
 def equal_terms(result: RunResult) -> dict[str, Any]:

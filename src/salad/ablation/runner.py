@@ -72,11 +72,6 @@ class _GridRun:
     folder: Path
     identity: dict[str, Any]
 
-    @property
-    def steps(self) -> int:
-        recipe = self.preset.recipe
-        return recipe.head_steps + recipe.tune_steps
-
     def __str__(self) -> str:
         return f"{self.row.name}, seed {self.preset.recipe.seed}"
 
@@ -164,8 +159,8 @@ class GridRunner:
 
     def _made(self, run: _GridRun) -> RunResult:
         """Train the run's model, or fit it, and measure it."""
-        began = time.monotonic()
-        if run.steps:
+        began, recipe = time.monotonic(), run.preset.recipe
+        if recipe.head_steps + recipe.tune_steps:
             with self.progress_bar(str(run)) as bar:
                 self.train_model(
                     run.preset,

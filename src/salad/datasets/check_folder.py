@@ -16,14 +16,10 @@ Held = dict[tuple[object, ...], Sides | BenchmarkError]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one protocol finds in a folder by one layout.
+    """What one protocol finds in a folder by one layout; a count is None where it cannot be read or was not looked at.
 
     Attributes:
-        protocol: Its name.
-        layout: The layout's name.
-        references: How many there are; None where they cannot be read.
-        queries: How many there are.
-        unanswerable: How many of them have no right reference; None where that was not looked at.
+        unanswerable: How many queries have no right reference.
         fits: Whether this is the protocol's set.
         missing: What differs or is wrong, as sentences or parts of them; empty where it fits.
     """

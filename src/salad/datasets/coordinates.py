@@ -28,9 +28,6 @@ class Coordinates:
     zone: Int64[np.ndarray, " n"]
     lat_lon: Float64[np.ndarray, "n 2"]
 
-    def __len__(self) -> int:
-        return len(self.utm)
-
     @classmethod
     def in_zone(cls, metres: Float64[np.ndarray, "n 2"], zone: str) -> Coordinates:
         """Photos of one zone, such as `17T`; on the map only where the zone is not known."""

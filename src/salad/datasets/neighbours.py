@@ -82,14 +82,10 @@ def _within(
     distance: Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]],
     reach: float | None = None,
 ) -> Ragged:
-    """For each query the rows of the references whose `distance` is at most `radius`, ascending.
+    """For each query the rows of the references whose `distance` is at most `radius`, ascending; all in metres.
 
-    Args:
-        queries: Points in metres.
-        references: The same.
-        radius: Metres.
-        distance: Metres between rows of queries and rows of references, pair by pair.
-        reach: Metres in a straight line in which a reference may be near; the radius where it is not given.
+    `distance` measures rows of queries and rows of references pair by pair. Only what is within `reach` in a straight
+    line is measured, or within the radius where no reach is given.
     """
     tree, reach = _tree(references), _widened(radius if reach is None else reach)
     # Counted first, which is cheap: a block of queries must not propose more pairs than fit into memory.

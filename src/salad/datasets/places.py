@@ -39,14 +39,13 @@ def find_places(root: Path, *, say: Say | None = None) -> list[TrainingPlace]:
 
     Args:
         root: The folder or the table.
-        say: Takes a sentence for each table that names photos which are not there; they are then left out.
-            Where nobody listens, a missing photo is an error.
+        say: Told of each table that names photos which are not there; without it a missing photo is an error.
 
     Raises:
         BenchmarkError: If there is no place with enough photos, a table cannot be read, or photos are missing.
     """
     if root.is_file():
-        places = read_places(root, say=say)
+        places = places_of(root, _rows(root), say)
     elif root.is_dir():
         places = _places(root, say)
     else:
@@ -63,8 +62,9 @@ def _places(root: Path, say: Say | None) -> list[TrainingPlace]:
     """The places of one folder, by whichever layout it is in."""
     if is_gsv_cities(root):
         return read_gsv_cities(root, say=say)
-    if (root / PLACES_TABLE).is_file():
-        return read_places(root / PLACES_TABLE, say=say)
+    table = root / PLACES_TABLE
+    if table.is_file():
+        return places_of(table, _rows(table), say)
     children = sorted(child for child in root.iterdir() if child.is_dir())
     # A folder of sets may hold photos in its sets' folders too; of folders that are no sets, each is a place.
     if not any(is_gsv_cities(child) or (child / PLACES_TABLE).is_file() for child in children):
@@ -128,18 +128,13 @@ def write_places(places: Sequence[Cell], to: Path) -> None:
         ) from error
 
 
-def read_places(table: Path, *, say: Say | None = None) -> list[TrainingPlace]:
-    """The places of a table with at least `FEWEST` photos, in the order they come.
-
-    Photos of a place stand in order of time, those without one first, and else as the table has them.
+def _rows(table: Path) -> Iterator[PlaceRow]:
+    """The lines of a table of places; photos without a time are older than all others.
 
     Raises:
-        BenchmarkError: If the table or one of its lines cannot be read; or, without `say`, if a photo is missing.
+        BenchmarkError: If the table or one of its lines cannot be read.
     """
-    return places_of(table, _rows(table), say)
 
-
-def _rows(table: Path) -> Iterator[PlaceRow]:
     def header(names: list[str]) -> list[str]:
         for column in COLUMNS[:2]:
             if column not in names:

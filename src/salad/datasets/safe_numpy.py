@@ -264,8 +264,6 @@ _ZIP_FAULTS = (
     *(NotImplementedError, ValueError, RuntimeError),  # an unknown packing, an odd name, a password
 )
 
-Value = Plain | list[Any]
-
 
 @dataclass(frozen=True, slots=True)
 class Arrays:
@@ -274,7 +272,7 @@ class Arrays:
     `at` names the file in sentences.
     """
 
-    value: Value
+    value: Plain | list[Any]
     at: str
 
     def texts(self) -> list[str]:
