@@ -50,10 +50,14 @@ def positive(number: int, what: str) -> int:
     return number
 
 
+# What follows imports as it runs: `salad --help` reads the types above, and is to be there at once.
+
+
 def is_index(folder: Path) -> bool:
     """Whether there is an index in a folder."""
     from salad.index.index_folder import HEADER_FILE
 
+    # Asked before opening, which would complain of a folder that is yet to be made.
     return (folder / HEADER_FILE).exists()
 
 
@@ -78,6 +82,7 @@ def model_name_for(folder: Path) -> str:
     if not is_index(folder):
         return SHIPPED
     with Index.open(folder) as index:
+        # An index knows its model by name and fingerprint, not where somebody's own weights lie.
         if index.model in ZOO:
             return index.model
         raise ModelError(
@@ -113,6 +118,7 @@ def benchmark_of(
     """
     from salad.datasets import benchmark
 
+    # Two rules would be two protocols in one figure, and none is no protocol at all.
     rules = [rule for rule in (truth, frames, radius) if rule is not None]
     if len(rules) != 1:
         raise BenchmarkError(

@@ -62,6 +62,7 @@ class CheckFolder:
 
             known = "; ".join(f"{layout.name} ({layout.what})" for layout in LAYOUTS.values())
             terminal.say(f"{self.folder} is in no layout known here: {known}")
+        # A script that is about to evaluate wants to know whether it can, not whether there is anything at all.
         return terminal.FOUND if any(finding.fits for finding in findings) else terminal.NOTHING
 
 
@@ -95,6 +96,7 @@ def _cells(row: dict[str, Any], shown: Iterable[str]) -> list[str]:
     """A protocol's cells; a published number that is round says so."""
     cells = {name: _cell(row[name]) for name in shown}
     if row["about"]:
+        # Published as a round number, so no count of a folder is held against it.
         cells["references"] = f"about {cells['references']}"
     return list(cells.values())
 
@@ -116,4 +118,4 @@ def _cell(value: Any) -> str:
         return f"{value:,}"
     if isinstance(value, list | tuple):
         return "; ".join(map(str, value))
-    return "-" if value is None else str(value)
+    return "-" if value is None else str(value)  # an empty cell would look as if something were missing

@@ -127,6 +127,7 @@ class EvaluateCommand:
                 result = with_leaks(result, benchmark)
         # Files first: where the terminal goes away meanwhile, what took an hour is on the disk.
         self._write_files(result, model)
+        # To stderr, so that --format json stays JSON.
         for note in (*result.notes, *evaluation_tables.leak_sentences(result)):
             terminal.say(note)
         if self.format == "json":
@@ -150,6 +151,7 @@ class EvaluateCommand:
                 "--heat is for a page of a saved result: give it with --result and --report (a page made while judging "
                 "a model has its heat maps already)"
             )
+        # What cannot be written is refused now, not after an hour of describing.
         for path in (self.save, self.report, self.csv, self.save_rankings, *(self.list_photos or ())):
             if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
                 raise BenchmarkError(f"{path} cannot be written: name a file in a folder that is there")
@@ -158,7 +160,7 @@ class EvaluateCommand:
         """The set that the options name: a published one under its protocol, or two folders and a rule."""
         if self.protocol is not None:
             return self._published(self.protocol)
-        if self.data is not None:
+        if self.data is not None:  # a folder of a data set says nothing of what is right in it
             raise BenchmarkError(
                 f"--data {self.data} is a set of no protocol: name one with --protocol (salad datasets lists them)"
             )
@@ -216,6 +218,7 @@ class EvaluateCommand:
                     f"{path} is judged already, so --{option} changes nothing: leave it away"
                 )
         result = read_result(path)
+        # A result holds photos' paths below two folders, which may have moved since, or lie on another machine.
         references, queries = result.folders
         result = replace(result, folders=(str(self.references or references), str(self.queries or queries)))
         if not self.heat:
@@ -223,7 +226,7 @@ class EvaluateCommand:
         from salad.models.model_folder import load
 
         model = load(self.model, device=self.device, heads=self.heads)
-        if model.fingerprint != result.fingerprint:
+        if model.fingerprint != result.fingerprint:  # a name may stand for other weights by now
             raise BenchmarkError(
                 f"the result is of {result.model} ({result.fingerprint or 'no model of ours'}), and {model.name} "
                 f"({model.fingerprint}) would show what another threw away: name its own with --model, or leave "

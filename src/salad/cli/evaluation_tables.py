@@ -29,11 +29,12 @@ def summary(result: Result) -> dict[str, Any]:
         "protocol": result.protocol,
         "queries": result.queries,
         "references": result.references,
+        # Published figures differ by this rule alone, so it stands beside the count.
         "unanswerable": f"{result.unanswerable}, {rule}" if result.unanswerable else "0",
         "model": result.model,
         "seconds": f"{result.seconds:.1f}",
     }
-    if result.leaks is not None:
+    if result.leaks is not None:  # None: nobody asked, which is not the same as none found
         fields["in_both_sides"] = len(result.leaks)
     return fields
 
@@ -114,7 +115,7 @@ def _side_by_side(found: Sequence[Difference]) -> Table:
     table.add_column("")
     for head in ("first", "other", "points", "95 %", "won", "lost", "by chance"):
         table.add_column(head, justify="right", no_wrap=True)
-    table.add_column("real")
+    table.add_column("real")  # by two tests at once, so it is a word and no column of numbers
     for one in found:
         table.add_row(
             *(f"R@{one.k}", f"{one.first:.1f} %", f"{one.other:.1f} %", f"{one.points:+.1f}"),

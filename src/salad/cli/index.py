@@ -74,10 +74,12 @@ class IndexCommand:
             done = self._describe(paths, index, model, table)
             gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])
             held, placed = len(index), index.info().with_position
+        # After the bar, which lines in between would tear apart.
         for sentence in (*done.twins, *done.unreadable, *gone):
             terminal.say(sentence)
         terminal.say(f"{self.to}: {done.added} photos added, {done.skipped} there already, "
                   f"{len(done.unreadable)} unreadable; it holds {held}, {placed} with a position")  # fmt: skip
+        # Where not one photo of all could be read, something is wrong with what was given, not with a photo.
         return terminal.FOUND if done.added or done.skipped else terminal.BAD_INPUT
 
     def _describe(
@@ -93,7 +95,9 @@ class IndexCommand:
                 far = done
                 bar(done, total)
 
-            report(0, len(paths))
+            report(
+                0, len(paths)
+            )  # the first batch takes a while: let people see that there is something to wait for
             try:
                 return index_photos(
                     paths, index, model, table=table, batch_size=self.batch_size, progress=report
@@ -128,6 +132,7 @@ class IndexCommand:
             with Index.open(self.to) as index:
                 added, held = take(index, folder, model=self.model), len(index)
         except SaladError:
+            # Only what this command made is taken away, and only while it is empty.
             with Index.open(self.to) as index:
                 made = made and not len(index)
             if made:

@@ -63,7 +63,7 @@ class VerifyCommand:
         except StoreError as error:  # that it cannot be opened, or listed, is what was asked for
             if str(error) not in wrong:
                 wrong.append(str(error))
-        for sentence in wrong:
+        for sentence in wrong:  # to stdout: what is wrong is what was asked for
             terminal.write(sentence)
         lost = [f"{path} is gone; its descriptor stays until it is removed" for path in gone]
         for sentence in terminal.first_few(lost, what="are gone"):
@@ -86,7 +86,7 @@ class RemoveCommand:
         from salad.index.index import Index
 
         paths = list(terminal.expand_stdin(self.photos))
-        if not paths:
+        if not paths:  # an empty list on stdin is a slip of a script, seldom what was meant
             raise PhotoError("no photos are named: give files, folders, or - with a list on standard input")
         with Index.open(self.index) as index:
             removed = index.remove(paths)
@@ -106,6 +106,7 @@ class CompactCommand:
 
         with Index.open(self.index) as index:
             done = index.compact()
+        # `verify` names them too, and leaves them in: here they are gone for good.
         for path in done.damaged:
             terminal.say(f"{path} had a damaged descriptor and is no longer in the index: index it again")
         terminal.say(f"{self.index}: {done.freed / _MEGA:.1f} MB given back; it holds {done.kept} photos")

@@ -80,6 +80,7 @@ class PlacesCommand:
 
         names = list(terminal.expand_stdin(self.photos))
         known = next((name for name in names if is_gsv_cities(Path(name))), None)
+        # Its names hold places that were cut with more knowledge than positions alone have.
         if known and not self.table:
             raise SaladError(
                 f"{known} is laid out like GSV-Cities, so its places are known: train on it as it is with "
@@ -99,6 +100,7 @@ class PlacesCommand:
         for sentence in terminal.first_few(found.trouble, what="cannot be read"):
             terminal.say(sentence)
         counts = found.as_dict()
+        # The path alone goes to stdout, so that it can be handed on; for people, the counts are talk.
         if self.format == "json":
             terminal.write_json({"table": str(self.to) if found.places else None} | counts)
             return
@@ -121,7 +123,9 @@ def _find_unreadable(paths: Sequence[Path]) -> dict[Path, str]:
     trouble: dict[Path, str] = {}
     with Workers(len(paths)) as workers, terminal.progress("checking") as bar:
 
-        def tried(path: Path) -> str:
+        def tried(
+            path: Path,
+        ) -> str:  # in threads: a sentence can be handed back, an error would end them all
             try:
                 workers.decode(path, _SIDE, _SIDE, "bilinear")
             except SaladError as error:

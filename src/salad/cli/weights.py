@@ -34,7 +34,7 @@ class ListModels:
         from rich.table import Table
 
         table = Table("name", "here", "licence", "note", box=None, pad_edge=False, header_style="bold")
-        for entry, here in rows:
+        for entry, here in rows:  # without addresses, which `weights info` tells: the table is wide enough
             table.add_row(entry.name, "yes" if here else "no", entry.licence, entry.note)
         terminal.write_table(table)
         return terminal.FOUND
@@ -118,6 +118,7 @@ class MakeVocabulary:
         positive(self.clusters, "--clusters")
         if self.to.exists():  # said before the work, not after it
             raise WeightsError(f"{self.to} exists already; choose another folder, or remove it first")
+        # Closed again before the model works for minutes: others may add to the index meanwhile.
         with Index.open(self.index) as index:
             photos = [photo.path for photo in index.photos()]
         model, unreadable = load(self.model or model_name_for(self.index), device=self.device), list[str]()
