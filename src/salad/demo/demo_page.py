@@ -38,30 +38,15 @@ def draw_demo_page(result: DemoResult, model: DescriberLike | None = None) -> st
     # The strips come first: they open the photos, and only then is it known what the dustbin takes of them.
     thumbnails = Thumbnails(model, clusters=True)
     strips = [_strip(number, one, thumbnails) for number, one in enumerate(result.judged, 1)]
-    kinds = {"": ("all", result.queries)} | {name: (name, n) for name, n in result.conditions.items()}
-    chips = [
-        Chip(name, label, count, {v: result.count(v, condition=name or None) for v in VERDICTS})
-        for name, (label, count) in kinds.items()
-    ]
     return render(
         "demo.html.j2",
         result=result,
         within_m=WITHIN_M,
         town_map=town_map(result),
-        chips=chips,
         verdicts={verdict: result.count(verdict) for verdict in VERDICTS},
         dustbin=thumbnails.dustbin,
         strips=strips,
     )
-
-
-class Chip(NamedTuple):
-    """A button that shows only the queries of one condition: how many there are, and what became of them."""
-
-    condition: str
-    label: str
-    queries: int
-    verdicts: dict[str, int]
 
 
 class FoundMark(NamedTuple):

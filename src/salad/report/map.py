@@ -35,12 +35,13 @@ class Frame:
     Attributes:
         middle: Of the map, latitude and longitude in degrees.
         scale: Units a metre.
-        height: In units; the width is `WIDE`.
+        height: In units, as is the width.
     """
 
     middle: Degrees
     scale: float
     height: float
+    width = WIDE
 
     def at(self, point: Degrees) -> tuple[float, float]:
         """Right and down, in units; a plane is right to a few metres in a town."""
@@ -52,11 +53,6 @@ class Frame:
     def path(self, points: Iterable[Degrees]) -> str:
         """A line through points, as the data of an SVG path."""
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in map(self.at, points))
-
-    @property
-    def width(self) -> float:
-        """In units."""
-        return WIDE
 
     @property
     def bar_m(self) -> float:
@@ -132,13 +128,7 @@ class RegionMap:
 
     @classmethod
     def of(cls, result: Result, places: Mapping[int, Degrees], linked: Collection[int]) -> RegionMap:
-        """The map of some queries.
-
-        Args:
-            result: What to draw.
-            places: Where each query is, by its number from 0.
-            linked: Numbers of the queries that have a strip of photos.
-        """
+        """The map of the queries with `places`, by their numbers from 0; those `linked` have a strip of photos."""
         frame = Frame.around(list(places.values()))
         known = (where for one in result.known.values() if (where := position(one.where)))
         # Dots that cannot be told apart are drawn once: drives have many references in one place.
@@ -243,8 +233,7 @@ class Drive:
 
     rows: Sequence[DriveRow]
     queries: int
-    names: float = NAMES
-    width: float = WIDE
+    names, width = NAMES, WIDE
 
     @property
     def height(self) -> float:
@@ -253,13 +242,7 @@ class Drive:
 
     @classmethod
     def of(cls, result: Result, numbers: Sequence[int], linked: Collection[int]) -> Drive:
-        """The drive of some queries.
-
-        Args:
-            result: What to draw.
-            numbers: Of the queries, from 0.
-            linked: Numbers of the queries that have a strip of photos.
-        """
+        """The drive of the queries with these numbers, from 0; those `linked` have a strip of photos."""
         rows, single = list(drive_rows(result, numbers)), len(numbers) <= SINGLE
         wide = min(max((WIDE - NAMES) / max(len(cells) for _, cells in rows), CELL_WIDTH[0]), CELL_WIDTH[1])
         drawn = []

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -90,10 +91,18 @@ class ImageCache:
         seen: dict[Path, Pixels] = {}
         rows = []
         for view in views:
-            path = view.path
-            if path not in seen and not self._readable(path, seen):
-                path = self._stand_in(view, shown, seen)
-                shown.add(path)
+            for path in _candidates(view, shown):
+                if path not in seen:
+                    with suppress(PhotoError):
+                        seen[path] = self.array(path)
+                if path in seen:
+                    break
+            else:
+                raise BenchmarkError(
+                    f"no photo of the place {view.place.name} in {view.place.city} can be read; the first: "
+                    f"{self.broken[view.path]}"
+                )
+            shown.add(path)
             rows.append(seen[path])
         return torch.from_numpy(np.stack(rows)).permute(0, 3, 1, 2)
 
@@ -123,26 +132,6 @@ class ImageCache:
     def __exit__(self, *raised: object) -> None:
         self.close()
 
-    def _readable(self, path: Path, seen: dict[Path, Pixels]) -> bool:
-        try:
-            seen[path] = self.array(path)
-        except PhotoError:
-            return False
-        return True
-
-    def _stand_in(self, view: View, shown: set[Path], seen: dict[Path, Pixels]) -> Path:
-        photos = view.place.photos
-        after = photos.index(view.path) + 1
-        others = photos[after:] + photos[: after - 1]
-        fresh = [path for path in others if path not in shown]
-        for path in (*fresh, *others):
-            if path in seen or self._readable(path, seen):
-                return path
-        raise BenchmarkError(
-            f"no photo of the place {view.place.name} in {view.place.city} can be read; the first: "
-            f"{self.broken[view.path]}"
-        )
-
     def _read_missing(self, views: Sequence[View]) -> dict[Path, Future[Pixels]]:
         """Begin to read what of these photos is neither kept nor on its way."""
         known: tuple[Mapping[Path, object], ...] = (self._kept, self.broken, self._now, *self._ahead)
@@ -158,6 +147,16 @@ class ImageCache:
     def _read(self, path: Path) -> Future[Pixels]:
         to = self.preprocessing
         return self._pool.submit(decode, path, to.height, to.width, to.resample)
+
+
+def _candidates(view: View, shown: set[Path]) -> Iterator[Path]:
+    """A view's photo, and those of its place that may stand in for it, one after another."""
+    yield view.path
+    photos = view.place.photos
+    number = photos.index(view.path)
+    others = photos[number + 1 :] + photos[:number]
+    yield from (path for path in others if path not in shown)
+    yield from others
 
 
 Item = TypeVar("Item")

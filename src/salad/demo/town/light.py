@@ -211,9 +211,8 @@ class Surfaces:
             sunny = (cosine > 0) & (self.depth > 0)
             # Half a metre before a wall, or the wall's own height in the map would shade it.
             out = np.float32(0.45)
-            reach = shade.at(
-                self.east[sunny] + out * facing[sunny, 0], self.north[sunny] + out * facing[sunny, 1]
-            )[:, 0]
+            east, north = self.east + out * facing[..., 0], self.north + out * facing[..., 1]
+            reach = shade.at(east[sunny], north[sunny])[:, 0]
             # A crown is a whole column of shade in the map, so leaves count as higher up than they are.
             above = self.height[sunny] + np.float32(3.0) * self.leaf[sunny] - reach
             sunlight = cosine[sunny] * np.clip(above / np.float32(0.5) + np.float32(0.9), 0, 1)
@@ -227,9 +226,8 @@ class Surfaces:
             east, north, up = lamp[0] - self.east, lamp[1] - self.north, lamp[2] - self.height
             square = east**2 + north**2 + up**2 + 1
             slope = east * self.facing[..., 0] + north * self.facing[..., 1] + up * self.facing[..., 2]
-            total += np.clip(slope / np.sqrt(square) * np.float32(0.8) + np.float32(0.2), 0, 1) * (
-                22 / square
-            )
+            part = np.clip(slope / np.sqrt(square) * np.float32(0.8) + np.float32(0.2), 0, 1)
+            total += part * (22 / square)
         total[self.depth <= 0] = 0
         return np.minimum(total, 1.6)
 
@@ -273,9 +271,8 @@ def develop(
             strength = np.float32(1.0 if light.lit > 0.4 else 0.55)
             rgb += own * LAMP_GLOW * (strength * surfaces.lamplight(lamps))[..., None]
         light_windows(rgb, own, seen, light, np.random.default_rng([*seed, 61]))
-    rgb += (np.array(light.horizon, np.float32) - rgb) * (1 - np.exp(-surfaces.depth / light.sight))[
-        ..., None
-    ]
+    haze = (1 - np.exp(-surfaces.depth / light.sight))[..., None]
+    rgb += (np.array(light.horizon, np.float32) - rgb) * haze
     sky = surfaces.depth <= 0
     rgb[sky] = heavens(rays, sky, light, seed)
     # Rain mirrors what is lit already, haze and sky included.

@@ -214,12 +214,9 @@ class Seen:
         stretch = np.sqrt(1 + (slant * depth[inside]) ** 2)
         rows_painted, columns_painted = painted.levels[0][1].shape
         grain = rows_painted / size[1] if painted.fits else painted.pixels_per_metre
-        times = np.array(
-            [1.0, 1.0]
-            if painted.fits
-            else [size[0] * grain / columns_painted, size[1] * grain / rows_painted]
-        )
-        times = times.astype(np.float32)
+        times = np.ones(2, np.float32)  # how often the texture stands side by side and on top of itself
+        if not painted.fits:
+            times[:] = size[0] * grain / columns_painted, size[1] * grain / rows_painted
         texels = grain * depth[inside] / camera.focal * np.sqrt(stretch)
         # Mostly the finer of two levels: a pixel's rays are averaged later, which takes the shimmer away.
         level = np.clip(np.log2(texels) + 0.35, 0, len(painted.levels) - 1).astype(np.int8)
