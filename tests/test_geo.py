@@ -16,8 +16,10 @@ from salad.geo import (
     Utm,
     centre,
     from_utm,
+    in_degrees,
     metres,
     metres_between,
+    on_unit_sphere,
     shifted,
     spread,
     to_utm,
@@ -70,6 +72,14 @@ def test_distance_agrees_with_the_chord_between_unit_vectors(a: GeoPoint, b: Geo
     assert metres_between(a, b) == pytest.approx(2 * EARTH_RADIUS_M * math.asin(chord / 2), abs=1e-3)
     assert metres_between(a, b) == metres_between(b, a)
     assert metres_between(a, a) == 0
+
+
+def test_points_that_nobody_knows_keep_their_rows_as_arrays() -> None:
+    known = in_degrees([GeoPoint(0, 90), None, GeoPoint(-90, 0)])
+    np.testing.assert_array_equal(known, [[0, 90], [math.nan] * 2, [-90, 0]])
+    np.testing.assert_allclose(on_unit_sphere(known[[0, 2]]).T, [[0, 1, 0], [0, 0, -1]], atol=1e-15)
+    assert in_degrees([]).shape == (0, 2)
+    assert on_unit_sphere(in_degrees([])).shape == (3, 0)
 
 
 def test_metres_broadcasts_queries_against_references() -> None:

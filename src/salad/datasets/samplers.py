@@ -24,7 +24,7 @@ APART_M = 100.0
 """How far apart, in metres, two places of a batch are at least: GSV-Cities' own distance."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)  # places may be half a million: no text of them all, no comparing
 class Sampler(ABC):
     """Batches of places by their numbers.
 
@@ -73,7 +73,7 @@ class Sampler(ABC):
         """The numbers of the places in the batch of that number."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class MixedSampler(Sampler):
     """Places of all cities in one batch; a city takes part by the square root of its size.
 
@@ -91,7 +91,7 @@ class MixedSampler(Sampler):
         return [self._numbers[index] for index in drawn]
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class OneCitySampler(Sampler):
     """Each batch within one city, every place once an epoch, as the paper trains; each epoch is shuffled anew.
 
@@ -131,7 +131,7 @@ class OneCitySampler(Sampler):
         return self._batches
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class CliqueSampler(Sampler):
     """Batches of cliques of places that look alike, in which each city takes part as in mixed ones.
 
