@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import IO, TextIO
+from typing import IO, Any, TextIO
 
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint
@@ -44,6 +44,16 @@ class Photo:
     where: GeoPoint | None = None
     heading: float | None = None
     time: datetime | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """This photo as JSON and tables hold it: path, lat, lon, heading, time; None for what is unknown."""
+        return {
+            "path": str(self.path),
+            "lat": self.where.lat if self.where else None,
+            "lon": self.where.lon if self.where else None,
+            "heading": self.heading,
+            "time": self.time.isoformat() if self.time else None,
+        }
 
 
 # --- finding -------------------------------------------------------------------------------

@@ -46,6 +46,7 @@ CREATE TABLE committed (
 );
 """
 ADD_SUMS = "ALTER TABLE photos ADD COLUMN sum INTEGER"  # salad 0.1.0 wrote none
+# CAST in this and all statements below: the paths are bound as bytes, which no encoding can refuse.
 INSERT = """
 INSERT INTO photos (path, lat, lon, heading, time, identity, row, sum)
 VALUES (CAST(? AS TEXT), ?, ?, ?, ?, ?, ?, ?)
@@ -59,22 +60,19 @@ REMOVE = """
 UPDATE photos SET removed = 1 WHERE removed = 0
 AND (path = CAST(:path AS TEXT) OR (path >= CAST(:low AS TEXT) AND path < CAST(:high AS TEXT)))
 """
-# CAST in the statements: the paths are bound as bytes, which no encoding can refuse.
-PHOTO = "row, path, lat, lon, heading, time"  # what `photo` reads
+PHOTO = "row, path, lat, lon, heading, time"  # what `photo_of_row` reads
+CATALOG_FILE = "photos.sqlite"
+UNKNOWN = -1  # in place of a checksum that was never written
 
-Fields = tuple[bytes, float | None, float | None, float | None, str | None]
+_MATRIX = re.compile(r"[^/\\:\0]+\.f16")
+_PAGE = 1000  # photos fetched, or paths asked for, at once
+_CACHE_KB = 64 << 10  # the tree of contents of a million photos is touched everywhere by an addition
 
 
-def row_of_photo(photo: Photo) -> Fields:
+def row_of_photo(photo: Photo) -> tuple[Any, ...]:
     """A photo as `INSERT` and `UPDATE` begin: path, latitude, longitude, heading, time."""
-    where = photo.where
-    return (
-        os.fsencode(photo.path),
-        where.lat if where else None,
-        where.lon if where else None,
-        photo.heading,
-        photo.time.isoformat() if photo.time else None,
-    )
+    path, *known = photo.as_dict().values()
+    return os.fsencode(path), *known
 
 
 def photo_of_row(row: Sequence[Any]) -> tuple[int, Photo]:
@@ -108,9 +106,6 @@ def row_trouble(row: Sequence[Any]) -> str:
     return (
         named and f"the {named} of {read.path} in the table is damaged: remove the photo and index it again"
     )
-
-
-_CACHE_KB = 64 << 10  # the tree of contents of a million photos is touched everywhere by an addition
 
 
 class Database:
@@ -186,9 +181,7 @@ class Database:
             yield
         # Of a damaged file SQLite quotes what it read there, and Python fails to read that as text.
         except (sqlite3.Error, UnicodeDecodeError) as error:
-            kind = (
-                getattr(error, "sqlite_errorcode", 0) & 0xFF
-            )  # the low byte is the kind, the rest its detail
+            kind = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the low byte; the rest is its detail
             if kind in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 text = f"{self.path.parent} is being written by another program: wait until it is done and try again"
             elif kind in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
@@ -205,13 +198,6 @@ class Database:
             raise StoreError(text) from error
 
 
-CATALOG_FILE = "photos.sqlite"
-UNKNOWN = -1  # in place of a checksum that was never written
-
-_MATRIX = re.compile(r"[^/\\:\0]+\.f16")
-_PAGE = 1000  # photos fetched, or paths asked for, at once
-
-
 @dataclass(frozen=True, slots=True)
 class Committed:
     """What the last commit said: rows that count, how many commits there were, and the matrix file's name."""
@@ -219,17 +205,6 @@ class Committed:
     rows: int
     generation: int
     matrix: str
-
-
-@dataclass(frozen=True, slots=True)
-class Facts:
-    """The live photos, counted; `earliest` and `latest` are times in ISO 8601, None where none is known."""
-
-    photos: int
-    with_heading: int
-    with_time: int
-    earliest: str | None
-    latest: str | None
 
 
 class Catalog(Database):
@@ -298,26 +273,11 @@ class Catalog(Database):
     def sums(self) -> npt.NDArray[np.int64]:
         """The checksum of each row that counts, `UNKNOWN` where none was written: `[rows]`."""
         rows = self.committed().rows
-        noted = np.full(rows, UNKNOWN, dtype=np.int64)
-        if self._has_sums():  # salad 0.1.0 wrote none
-            pairs = self._sums("row BETWEEN 0 AND ?", rows - 1)
-            noted[pairs["row"]] = pairs["sum"]
-        return noted
+        return self._sums(np.arange(rows), "row BETWEEN 0 AND ?", rows - 1)
 
     def sums_at(self, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """The checksums of `rows`, which ascend, `UNKNOWN` where none was written: `[len(rows)]`."""
-        noted = np.full(len(rows), UNKNOWN, dtype=np.int64)
-        if self._has_sums():
-            pairs = self._sums("row IN (SELECT value FROM json_each(?))", json.dumps(rows.tolist()))
-            noted[np.searchsorted(rows, pairs["row"])] = pairs["sum"]
-        return noted
-
-    def facts(self) -> Facts:
-        """How many photos can be found, and what is known of them."""
-        found = self._db.execute(
-            "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time), MAX(time) FROM photos WHERE removed = 0"
-        )
-        return Facts(*found.fetchone())
+        return self._sums(rows, "row IN (SELECT value FROM json_each(?))", json.dumps(rows.tolist()))
 
     def rows_of(self, identities: Iterable[str]) -> dict[str, int]:
         """The rows of the live photos with these contents, by content."""
@@ -337,10 +297,6 @@ class Catalog(Database):
         )
         pairs = np.fromiter(found, dtype=[("lat", np.float64), ("lon", np.float64)])
         return pairs.view(np.float64).reshape(-1, 2)
-
-    def known(self, identities: Iterable[str]) -> set[str]:
-        """Which of these contents live photos have."""
-        return set(self.rows_of(identities))
 
     def find(self, identities: Iterable[str]) -> dict[str, Photo]:
         """The live photos with these contents, by content."""
@@ -436,12 +392,14 @@ class Catalog(Database):
         moves = zip(numbers[news].tolist(), sums[news].tolist(), rows[news].tolist(), strict=True)
         self._db.executemany("UPDATE photos SET row = ?, sum = ? WHERE row = ?", moves)
 
-    def _sums(self, which: str, given: object) -> npt.NDArray[np.void]:
-        sql = f"SELECT row, CAST(sum AS INTEGER) FROM photos WHERE sum IS NOT NULL AND {which}"
-        pairs: npt.NDArray[np.void] = np.fromiter(
-            self._db.execute(sql, (given,)), dtype=[("row", np.int64), ("sum", np.int64)]
-        )
-        return pairs
+    def _sums(self, rows: npt.NDArray[np.int64], condition: str, given: object) -> npt.NDArray[np.int64]:
+        """The checksums of `rows`, ascending, which a condition of SQL says too."""
+        noted = np.full(len(rows), UNKNOWN, dtype=np.int64)
+        if self._has_sums():  # salad 0.1.0 wrote none
+            sql = f"SELECT row, CAST(sum AS INTEGER) FROM photos WHERE sum IS NOT NULL AND {condition}"
+            pairs = np.fromiter(self._db.execute(sql, (given,)), dtype=[("row", np.int64), ("sum", np.int64)])
+            noted[np.searchsorted(rows, pairs["row"])] = pairs["sum"]
+        return noted
 
     def _has_sums(self) -> bool:
         return "sum" in [name for _, name, *_ in self._db.execute("PRAGMA table_info(photos)")]

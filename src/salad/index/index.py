@@ -113,9 +113,7 @@ class Index:
         Raises:
             StoreError: If it is no index, a newer salad wrote it, or it is damaged.
         """
-        home = Path(
-            os.path.realpath(folder)
-        )  # a link that is bent elsewhere later does not move an open index
+        home = Path(os.path.realpath(folder))  # a link bent elsewhere later does not move an open index
         header = Header.read(home)
         index = cls(home, header, Catalog(home / CATALOG_FILE, wait=wait), searcher=searcher)
         try:
@@ -177,12 +175,10 @@ class Index:
         placed = _placed(photos)
         with self._catalog.writing():
             last = self._catalog.committed()
-            known, first = self._catalog.known(contents), dict[str, int]()
+            known, first = self._catalog.rows_of(contents), dict[str, int]()
             for number, content in enumerate(contents):
-                if content not in known:
-                    first.setdefault(
-                        content, number
-                    )  # of several with one content, the first gives the descriptor
+                if content not in known:  # of several with one content, the first gives the descriptor
+                    first.setdefault(content, number)
             fresh = list(first.values())
             if fresh:
                 self._refuse_gaps(last)
@@ -218,9 +214,7 @@ class Index:
         with self._catalog.writing():
             self._catalog.update(placed, identities)
             self._catalog.retire([photo.path for photo in placed], identities)
-            self._catalog.commit_rows(
-                self._catalog.committed().rows
-            )  # none more, but a commit that others see
+            self._catalog.commit_rows(self._catalog.committed().rows)  # none more, but others see a commit
 
     def remove(self, paths: Sequence[str | Path]) -> int:
         """Forget the photos at these paths, or below them; how many. Their rows never come out again.
@@ -249,7 +243,7 @@ class Index:
     def known(self, identities: Sequence[str]) -> set[str]:
         """Which of these contents the index holds."""
         with self._catalog.reading():
-            return self._catalog.known(identities)
+            return set(self._catalog.rows_of(identities))
 
     def find(self, identities: Sequence[str]) -> dict[str, Photo]:
         """The photos with these contents, by content."""

@@ -75,14 +75,17 @@ class IndexInfo:
 def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
     """What the index in `folder` holds, in numbers."""
     with catalog.reading():  # one look, so that the numbers belong together
-        last, facts, positions = catalog.committed(), catalog.facts(), catalog.positions()
+        last, positions = catalog.committed(), catalog.positions()
+        ((photos, with_heading, with_time, earliest, latest),) = catalog.select(
+            "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time), MAX(time) FROM photos WHERE removed = 0"
+        )
     around = box(positions)
     return IndexInfo(
-        photos=facts.photos,
+        photos=photos,
         with_position=len(positions),
-        with_heading=facts.with_heading,
-        with_time=facts.with_time,
-        removed=last.rows - facts.photos,
+        with_heading=with_heading,
+        with_time=with_time,
+        removed=last.rows - photos,
         model=header.model,
         fingerprint=header.fingerprint,
         dim=header.dim,
@@ -91,8 +94,8 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
         created=header.created,
         box=around,
         span_km=span_km(around) if around else None,
-        earliest=facts.earliest,
-        latest=facts.latest,
+        earliest=earliest,
+        latest=latest,
         format_version=header.format_version,
     )
 

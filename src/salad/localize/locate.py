@@ -70,15 +70,9 @@ class Answer:
         return {
             "query": str(self.query),
             "place": self.place.as_dict() if self.place else None,
+            # The score stands behind the path, before what is known of the photo, as it always has.
             "matches": [
-                {
-                    "path": str(match.photo.path),
-                    "score": match.score,
-                    "lat": match.photo.where.lat if match.photo.where else None,
-                    "lon": match.photo.where.lon if match.photo.where else None,
-                    "heading": match.photo.heading,
-                    "time": match.photo.time.isoformat() if match.photo.time else None,
-                }
+                {"path": str(match.photo.path), "score": match.score} | match.photo.as_dict()
                 for match in self.matches
             ],
             "others": [place.as_dict() for place in self.others],
@@ -165,9 +159,8 @@ def locate_many(
         PhotoError: If a photo cannot be read and `on_unreadable` is not given.
         WrongModelError: If the index was made with another model.
     """
-    index.check_model(
-        model
-    )  # descriptors of two models have nothing to do with one another, whatever their scores
+    # Descriptors of two models have nothing to do with one another, whatever their scores.
+    index.check_model(model)
     calibration = calibration_of(model)
     limit = calibration.min_confidence if min_confidence is None else min_confidence
     to = model.preprocessing
