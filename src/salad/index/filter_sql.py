@@ -31,13 +31,21 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
     """
     if filter == Filter(heading_within=filter.heading_within):  # it asks for nothing
         return alive
-    parts = _conditions(filter)
-    sql = "SELECT row, lat, lon, heading, time FROM photos WHERE " + " AND ".join(
-        ["row >= ?", "row < ?", *(condition for condition, _ in parts)]
-    )
+    parts: list[Part] = [("row >= ? AND row < ?", ())]  # by number: a page is found at once
+    if filter.box is not None:
+        parts += _in_box(filter.box)
+    if filter.near is not None and filter.within_m is not None:
+        parts += _in_box(_around(filter.near, filter.within_m))
+    if filter.heading is not None:
+        parts.append(("typeof(heading) = 'real'", ()))  # a damaged table may hold text there
+    if filter.since is not None:
+        parts.append(("time >= ?", (_day(filter.since, -_ZONES),)))
+    if filter.until is not None:
+        parts.append(("time <= ?", (_day(filter.until, _ZONES),)))
+    conditions = " AND ".join(condition for condition, _ in parts)
+    sql = f"SELECT row, lat, lon, heading, time FROM photos WHERE {conditions}"
     given = [value for _, values in parts for value in values]
     passed = np.zeros(len(alive), dtype=np.bool_)
-    # By row numbers: a page is found at once, and never are all photos in memory.
     for start in range(0, len(alive), _PAGE):
         some = catalog.select(sql, [start, min(start + _PAGE, len(alive)), *given])
         if not some:
@@ -52,22 +60,6 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
             keep &= [_in_span(filter, each) for each in time]
         passed[np.asarray(row)[keep]] = True
     return passed & alive
-
-
-def _conditions(filter: Filter) -> list[Part]:
-    """What SQLite can tell of a filter."""
-    parts: list[Part] = []
-    if filter.box is not None:
-        parts += _in_box(filter.box)
-    if filter.near is not None and filter.within_m is not None:
-        parts += _in_box(_around(filter.near, filter.within_m))
-    if filter.heading is not None:
-        parts.append(("typeof(heading) = 'real'", ()))  # a damaged table may hold text there
-    if filter.since is not None:
-        parts.append(("time >= ?", (_day(filter.since, -_ZONES),)))
-    if filter.until is not None:
-        parts.append(("time <= ?", (_day(filter.until, _ZONES),)))
-    return parts
 
 
 def _in_box(box: Box) -> list[Part]:

@@ -11,8 +11,8 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import islice
@@ -30,12 +30,6 @@ from salad.index.vectors import FileRows, NpyWriter
 from salad.search.base import UNIT_TOLERANCE
 from salad.tables import CsvError, read_csv, read_parquet, write_table
 
-# --- Photos as a table that other programs read: CSV, Parquet, GeoJSON. One line a photo, in a given order ---
-#
-# CSV keeps every name, even one that is not UTF-8; Parquet cannot. GeoJSON has the photos as points, with null
-# for those without a position.
-
-
 Form = Literal["csv", "parquet", "geojson"]
 Put = Callable[[Sequence[Photo], Sequence[str]], None]
 Record = Mapping[str, Any]
@@ -43,23 +37,24 @@ Record = Mapping[str, Any]
 COLUMNS = ("path", "lat", "lon", "heading", "time", "identity")
 _DEGREES = ("lat", "lon", "heading")
 
+_KIND = "salad export"
+_MODEL, _DESCRIPTORS, _PHOTOS = "model.json", "descriptors.npy", "photos"
+_TABLES = (".csv", ".parquet", ".geojson")
+_COMMIT = 1 << 24  # numbers taken in with one commit
 
-# --- writing -------------------------------------------------------------------------------
 
-
-def writer(path: Path) -> AbstractContextManager[Put]:
+@contextmanager
+def writer(path: Path) -> Iterator[Put]:
     """Begin a table at `path`, of the form its name ends in; what it gives takes photos and their contents.
+
+    CSV keeps every name, even one that is not UTF-8; Parquet cannot. GeoJSON has the photos as points, with null for
+    those without a position.
 
     Raises:
         MissingExtraError: If it is to be Parquet, and what writes it is not installed.
     """
-    return _geojson_writer(path) if path.suffix == ".geojson" else _table_writer(path)
-
-
-@contextmanager
-def _table_writer(path: Path) -> Iterator[Put]:
     kinds = {name: float if name in _DEGREES else str for name in COLUMNS}
-    with write_table(path, kinds) as write:
+    with _write_geojson(path) if path.suffix == ".geojson" else write_table(path, kinds) as write:
 
         def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
             strange = next((photo.path for photo in photos if not _is_text(str(photo.path))), None)
@@ -67,20 +62,21 @@ def _table_writer(path: Path) -> Iterator[Put]:
                 raise StoreError(
                     f"{os.fsencode(strange)!r} is not UTF-8, and Parquet holds no other names: export as csv"
                 )
-            write(map(_record, photos, identities))
+            pairs = zip(photos, identities, strict=True)
+            write(photo.as_dict() | {"identity": identity} for photo, identity in pairs)
 
         yield put
 
 
 @contextmanager
-def _geojson_writer(path: Path) -> Iterator[Put]:
+def _write_geojson(path: Path) -> Iterator[Callable[[Iterable[Record]], None]]:
     with path.open("w", encoding="utf-8") as file:
         between = ""
         file.write('{"type": "FeatureCollection", "features": [')
 
-        def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
+        def write(records: Iterable[Record]) -> None:
             nonlocal between
-            for record in map(_record, photos, identities):
+            for record in records:
                 lat, lon = record["lat"], record["lon"]
                 feature = {
                     "type": "Feature",
@@ -91,20 +87,8 @@ def _geojson_writer(path: Path) -> Iterator[Put]:
                 file.write(f"{between}\n{json.dumps(feature, ensure_ascii=not text)}")
                 between = ","
 
-        yield put
+        yield write
         file.write("\n]}\n")
-
-
-def _record(photo: Photo, identity: str) -> dict[str, Any]:
-    where = photo.where
-    return {
-        "path": str(photo.path),
-        "lat": where.lat if where else None,
-        "lon": where.lon if where else None,
-        "heading": photo.heading,
-        "time": photo.time.isoformat() if photo.time else None,
-        "identity": identity,
-    }
 
 
 def _is_text(path: str) -> bool:
@@ -113,9 +97,6 @@ def _is_text(path: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-# --- reading -------------------------------------------------------------------------------
 
 
 def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
@@ -128,10 +109,9 @@ def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
         StoreError: If the table cannot be read, or a line of it makes no sense; it is named.
         MissingExtraError: If it is Parquet, and what reads it is not installed.
     """
-    readers = {".csv": _csv_records, ".parquet": _parquet_records, ".geojson": _geojson_records}
     done = 0
     try:
-        for record in readers[path.suffix.lower()](path):
+        for record in _records(path):
             yield _photo(record, path.parent)
             done += 1
     except OSError as error:
@@ -140,15 +120,24 @@ def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
         raise StoreError(f"{path}, photo {done + 1}: {error}; correct it, or leave it out") from error
 
 
-def _csv_records(path: Path) -> Iterator[Record]:
-    for _, record in read_csv(path, _header, errors="surrogateescape"):
-        if None in record:
-            raise ValueError("it has more fields than the first line (put names with commas in quotes)")
-        yield record
-
-
-def _parquet_records(path: Path) -> Iterator[Record]:
-    return (record for _, record in read_parquet(path))
+def _records(path: Path) -> Iterator[Record]:
+    match path.suffix.lower():
+        case ".geojson":
+            for feature in json.loads(path.read_text(encoding="utf-8"))["features"]:
+                record, point = dict(feature["properties"]), feature["geometry"]
+                if point is not None:
+                    # GeoJSON's order; a height may follow.
+                    record["lon"], record["lat"], *_ = point["coordinates"]
+                yield record
+        case ".parquet":
+            yield from (record for _, record in read_parquet(path))
+        case _:
+            for _, record in read_csv(path, _header, errors="surrogateescape"):
+                if None in record:
+                    raise ValueError(
+                        "it has more fields than the first line (put names with commas in quotes)"
+                    )
+                yield record
 
 
 def _header(names: list[str]) -> list[str]:
@@ -156,14 +145,6 @@ def _header(names: list[str]) -> list[str]:
     if header.count("path") != 1:
         raise ValueError(f"it needs one column 'path', but has {', '.join(header) or 'none'}")
     return header
-
-
-def _geojson_records(path: Path) -> Iterator[Record]:
-    for feature in json.loads(path.read_text(encoding="utf-8"))["features"]:
-        record, point = dict(feature["properties"]), feature["geometry"]
-        if point is not None:
-            record["lon"], record["lat"], *_ = point["coordinates"]  # GeoJSON's order; a height may follow
-        yield record
 
 
 def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
@@ -191,12 +172,6 @@ def _degrees(value: object, name: str) -> float | None:
     if not abs(number) <= 1e6:
         raise ValueError(f"{name} {value!r} is not a number of degrees")
     return number
-
-
-_KIND = "salad export"
-_MODEL, _DESCRIPTORS, _PHOTOS = "model.json", "descriptors.npy", "photos"
-_TABLES = (".csv", ".parquet", ".geojson")
-_COMMIT = 1 << 24  # numbers taken in with one commit
 
 
 @dataclass(frozen=True, slots=True)
