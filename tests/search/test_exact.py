@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     monkeypatch.setattr(exact, "_MANY_ROWS", 0)
     monkeypatch.setattr(exact, "_MANY_QUERIES", 0)
     monkeypatch.setattr(exact, "_FEW", 100)
-    monkeypatch.setattr(exact, "_multiplies_bfloat16", lambda: request.param == "bfloat16")
+    monkeypatch.setattr(exact.numkong, "get_capabilities", lambda: {"genoa": request.param == "bfloat16"})
     return str(request.param)
 
 
@@ -294,18 +295,16 @@ def test_an_interrupt_of_the_caller_ends_the_search(small: None, monkeypatch: py
 
     first, interrupted = threading.Event(), threading.Event()
     rows = Slow(StoreError(""))
-    each = exact._each
 
-    def until_interrupted(team: object, work: Callable[[int], None], items: object) -> list[object]:
-        if isinstance(items, range):  # Ctrl-C while the threads sweep
-            team.submit(work, 0)  # type: ignore[attr-defined]  # a pool, here
+    class Interrupted(ThreadPoolExecutor):
+        def map(self, work: Callable[..., Any], *_: object, **__: object) -> NoReturn:
+            self.submit(work, 0)
             first.wait(10)
             threading.Timer(0.05, interrupted.set).start()
-            raise KeyboardInterrupt
-        return each(team, work, items)  # type: ignore[arg-type]  # whatever it is given
+            raise KeyboardInterrupt  # Ctrl-C while the threads sweep
 
     offered = list[object]()
-    monkeypatch.setattr(exact, "_each", until_interrupted)
+    monkeypatch.setattr(exact, "ThreadPoolExecutor", Interrupted)
     monkeypatch.setattr(exact._Batch, "offer", lambda _, block: offered.append(block))
     with pytest.raises(KeyboardInterrupt):
         ExactSearcher(rows, threads=2).search(np.ones((7, 8)), k=1)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -225,7 +226,11 @@ class _Run:
         """Note what is new of a photo that the index holds: nothing, where it is the one it holds."""
         path, photo = Path(os.path.realpath(item.path)), item.photo
         news = ((photo.where, held.where), (photo.heading, held.heading), (photo.time, held.time))
-        if path != held.path and _in_place(held.path, item.content_hash):
+        still_there = False
+        if path != held.path:
+            with suppress(SaladError):
+                still_there = content_hash(held.path) == item.content_hash
+        if still_there:
             self.result.twins.append(
                 f"{item.path} is a copy of {held.path}, which is in the index: it was skipped"
             )
@@ -239,11 +244,3 @@ class _Run:
         self._done += photos
         if self._progress is not None:
             self._progress(self._done, self._total)
-
-
-def _in_place(path: Path, content: str) -> bool:
-    """Whether the file at `path` still holds that content."""
-    try:
-        return content_hash(path) == content
-    except SaladError:
-        return False

@@ -33,9 +33,9 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
         return alive
     parts: list[Part] = [("row >= ? AND row < ?", ())]  # by number: a page is found at once
     if filter.box is not None:
-        parts += _in_box(filter.box)
+        parts.append(_in_box(filter.box))
     if filter.near is not None and filter.within_m is not None:
-        parts += _in_box(_around(filter.near, filter.within_m))
+        parts.append(_in_box(_around(filter.near, filter.within_m)))
     if filter.heading is not None:
         parts.append(("typeof(heading) = 'real'", ()))  # a damaged table may hold text there
     if filter.since is not None:
@@ -62,16 +62,13 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
     return passed & alive
 
 
-def _in_box(box: Box) -> list[Part]:
+def _in_box(box: Box) -> Part:
     south, west, north, east = box
     across = "lon BETWEEN ? AND ?" if west <= east else "(lon >= ? OR lon <= ?)"
     if west <= east and 180 in (-west, east):
         across = "(lon BETWEEN ? AND ? OR abs(lon) = 180)"  # 180 east and 180 west are one line
-    return [
-        ("typeof(lat) = 'real' AND typeof(lon) = 'real'", ()),
-        ("lat BETWEEN ? AND ?", (south, north)),
-        (across, (west, east)),
-    ]
+    real = "typeof(lat) = 'real' AND typeof(lon) = 'real'"
+    return f"{real} AND lat BETWEEN ? AND ? AND {across}", (south, north, west, east)
 
 
 def _around(near: GeoPoint, within_m: float) -> Box:

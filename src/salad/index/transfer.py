@@ -26,7 +26,7 @@ from salad.geo import GeoPoint
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder
 from salad.index.index import Index
-from salad.index.vectors import FileRows, NpyWriter
+from salad.index.vectors import FileRows, NpyWriter, lengths
 from salad.search.base import UNIT_TOLERANCE
 from salad.tables import CsvError, read_csv, read_parquet, write_table
 
@@ -298,12 +298,11 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
             "in the same order"
         )
     for start, block in rows.blocks():
-        with np.errstate(all="ignore"):
-            lengths = np.linalg.norm(block.astype(np.float32), axis=1)
-        bad = (~(np.abs(lengths - 1) <= UNIT_TOLERANCE)).nonzero()[0]
+        found = lengths(block)
+        bad = (~(np.abs(found - 1) <= UNIT_TOLERANCE)).nonzero()[0]
         if len(bad):
             raise StoreError(
-                f"{rows.path}, row {start + bad[0]}: its length is {lengths[bad[0]]:g}, not 1; divide each row by "
+                f"{rows.path}, row {start + bad[0]}: its length is {found[bad[0]]:g}, not 1; divide each row by "
                 "its length (rows / numpy.linalg.norm(rows, axis=1, keepdims=True)), if the model's likeness is "
                 "the cosine"
             )

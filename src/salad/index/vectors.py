@@ -46,7 +46,7 @@ class FileRows:
         rows: Rows that should be in it.
         dim: Numbers in a row.
         dtype: float16, or float32, which float64 becomes when it is read.
-        longest: As in `salad.search.base.Rows`.
+        longest: No sound row is longer; None where rows may have any length (`salad.search.base.Rows`).
         held: Rows really in the file, fewer than `rows` where it is truncated; only these can be read.
     """
 
@@ -60,15 +60,7 @@ class FileRows:
         start: int = 0,
         longest: float | None = LONGEST_UNIT,
     ) -> None:
-        """Open `path`, of which `rows` rows of `dim` numbers count.
-
-        Args:
-            path: The file.
-            rows: Rows that should be in it.
-            dim: Numbers in a row.
-            stored: What the numbers are in the file.
-            start: The byte at which the first row begins.
-            longest: No sound row is longer; None where rows may have any length.
+        """Open `path`, of which `rows` rows of `dim` numbers, `stored` as this type, count from byte `start` on.
 
         Raises:
             StoreError: If the file is missing or may not be read.
@@ -84,13 +76,11 @@ class FileRows:
             raise StoreError(f"{path} cannot be read ({error.strerror}): check its permissions") from error
         self._swept = False
         self._kept: tuple[Block, Mask] | None = None  # rows, and which of them are there
-        self._end = weakref.finalize(
-            self, self._file.close
-        )  # a search may hold them longer than the index does
+        # A search may hold them longer than the index does.
+        self._end = weakref.finalize(self, self._file.close)
         self._lock = threading.Lock()  # for systems that cannot read without moving the file's one position
-        size = (
-            os.fstat(self._file.fileno()).st_size - start
-        )  # of the file that is open, whatever the path is by now
+        # Of the file that is open, whatever the path is by now.
+        size = os.fstat(self._file.fileno()).st_size - start
         self.held = max(0, min(rows, size // (dim * stored.itemsize)))
 
     @classmethod
@@ -266,12 +256,19 @@ def storable(descriptors: npt.NDArray[np.floating], count: int, dim: int) -> Hal
     step = max(1, _BLOCK // dim)
     for low in range(0, count, step):
         some = given[low : low + step].astype(np.float32)
-        lengths = np.sqrt(np.einsum("ij,ij->i", some, some))
-        if not (np.abs(lengths - 1) <= UNIT_TOLERANCE).all():
+        if not (np.abs(lengths(some) - 1) <= UNIT_TOLERANCE).all():
             raise StoreError("descriptors must be finite and of length 1: normalise them, or check the model")
         # Rounding halves is most of the work here, and numpy is ten times as slow at it.
         numkong.astype(some, "float16", out=rows[low : low + step])
     return rows
+
+
+def lengths(rows: Block) -> npt.NDArray[np.float32]:
+    """How long rows `[n, dim]` are: `[n]`; a damaged one may have any length, NaN and infinity too."""
+    with np.errstate(all="ignore"):
+        wide = rows.astype(np.float32, copy=False)
+        found: npt.NDArray[np.float32] = np.sqrt(np.einsum("ij,ij->i", wide, wide))
+        return found
 
 
 def sums(rows: Half) -> list[int]:

@@ -184,9 +184,8 @@ def fit_logistic(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[floa
 
 def reliability(predictions: Predictions) -> list[ReliabilityBin | None]:
     """How often what is so sure is right, in `BINS` steps of confidence; None for a step without a case."""
-    step_of = np.minimum(
-        (predictions.confidence * BINS).astype(int), BINS - 1
-    )  # a confidence of 1 is in the last
+    # A confidence of 1 is in the last.
+    step_of = np.minimum((predictions.confidence * BINS).astype(int), BINS - 1)
     bins: list[ReliabilityBin | None] = []
     for step in range(BINS):
         here = step_of == step

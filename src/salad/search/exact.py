@@ -24,12 +24,12 @@ lost below is less than that: a product of two numbers of float16 is 2^-48 at le
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from queue import Empty, SimpleQueue
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numkong
 import numpy as np
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
     from salad.search.filters import Filter
 
 Single = npt.NDArray[np.float32]
-T = TypeVar("T")
-R = TypeVar("R")
 
 # Numbers of rows in a block, 4 MiB of float16: large enough that what a block costs besides does not show.
 _BLOCK = 1 << 21
@@ -122,15 +120,7 @@ class ExactSearcher:
     def search(
         self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
     ) -> Hits:
-        """The k best rows of each query.
-
-        Args:
-            queries: `[Q, dim]`, of any length.
-            k: How many, at least one.
-            allowed: Which rows may come out, as a mask `[N]`; all of them where not given.
-
-        Returns:
-            Rows and scores `[Q, min(k, N)]`.
+        """The k best rows of each query, as `Searcher.search` says.
 
         Raises:
             SearchError: If the queries are of another dimension or not finite, k is below 1, or `allowed` is no mask
@@ -153,7 +143,8 @@ class ExactSearcher:
     def _search(self, queries: Queries, k: int, allowed: Mask | None) -> list[Hits]:
         """Let all rows pass by these queries; what was found for each batch of them."""
         many = len(self) >= _MANY_ROWS and len(queries) >= _MANY_QUERIES and k <= _FEW
-        kernel = _COARSE if many and _multiplies_bfloat16() else _HALF
+        has = numkong.get_capabilities()
+        kernel = _COARSE if many and any(has.get(name) for name in _BFLOAT16) else _HALF
         batches = [
             _Batch(some, _Candidates(self._rows, some, k), kernel) for some in _pieces(queries, _BATCH)
         ]
@@ -176,21 +167,18 @@ class ExactSearcher:
                 raise
 
         with nullcontext() if threads == 1 else ThreadPoolExecutor(threads, "salad-search") as team:
+            each: Callable[..., Iterator[Any]] = map if team is None else team.map
             try:
-                _each(team, sweep, range(threads))
+                list(each(sweep, range(threads)))
             except BaseException:
                 todo.stopped = True  # on an interrupt too, or leaving would wait for all of it
                 raise
-            return _each(team, lambda batch: batch.candidates.hits(), batches)
+            return list(each(lambda batch: batch.candidates.hits(), batches))
 
 
 def _pieces(queries: Queries, most: int) -> list[Queries]:
     """Queries some at a time, about as many each time."""
     return np.array_split(queries, -(-len(queries) // max(1, most)))
-
-
-def _each(team: Executor | None, work: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    return list(map(work, items) if team is None else team.map(work, items))
 
 
 def _processors() -> int:
@@ -200,11 +188,6 @@ def _processors() -> int:
         return int(asked)
     may = getattr(os, "sched_getaffinity", None)
     return len(may(0)) if may else os.cpu_count() or 1
-
-
-def _multiplies_bfloat16() -> bool:
-    has = numkong.get_capabilities()
-    return any(has.get(name) for name in _BFLOAT16)
 
 
 class _Todo:
@@ -272,7 +255,10 @@ class _Reader:
             longest = _longest(block, start)
         if self._rounded is None or not len(block):
             return _Ready(start, block, 1.0, longest, 0.0, allowed)
-        scale = _scale_to_half(longest) if block.dtype == np.float32 else 1.0
+        scale = 1.0
+        if block.dtype == np.float32 and not 2.0**-4 <= longest < 2.0**15:
+            # To where float16 is at its best. float32 holds no factor much larger than 2^100.
+            scale = 2.0 ** min(100, 15 - int(np.frexp(longest)[1]))
         rounded = self._rounded[: len(block)]
         with np.errstate(all="ignore"):  # a damaged row may overflow, and shows by that
             numkong.astype(block if scale == 1 else block * np.float32(scale), self._kernel.name, out=rounded)
@@ -291,13 +277,6 @@ def _longest(block: Block, start: int) -> float:
     # The sum is off by gamma, and squares below 2^-149 are lost in it.
     found = float(np.sqrt(squares.max(initial=0), dtype=np.float64))
     return found * (1 + _HALF.gamma(block.shape[1])) + 2.0**-74 * float(np.sqrt(block.shape[1]))
-
-
-def _scale_to_half(longest: float) -> float:
-    """A power of two that brings rows of at most this length to where float16 is at its best."""
-    if 2.0**-4 <= longest < 2.0**15:
-        return 1.0
-    return 2.0 ** min(100, 15 - int(np.frexp(longest)[1]))  # float32 holds no factor much larger
 
 
 def _widened(block: Block) -> Single:

@@ -44,7 +44,12 @@ class Filter:
 
     def __post_init__(self) -> None:
         if self.box is not None:
-            _check_box(self.box)
+            south, west, north, east = self.box
+            if not (-90 <= south <= north <= 90 and all(-180 <= lon <= 180 for lon in (west, east))):
+                raise StoreError(
+                    f"the box {list(self.box)} cannot be: give south, west, north, east in degrees, south not above "
+                    "north"
+                )
         if (self.near is None) != (self.within_m is None):
             raise StoreError("a circle needs a point and a radius: give both, or neither")
         if self.within_m is not None and not 0 <= self.within_m < math.inf:
@@ -67,11 +72,3 @@ def in_order(one: datetime, other: datetime) -> bool:
     if one.utcoffset() is None or other.utcoffset() is None:
         return one.replace(tzinfo=None) <= other.replace(tzinfo=None)
     return one <= other
-
-
-def _check_box(box: Box) -> None:
-    south, west, north, east = box
-    if not (-90 <= south <= north <= 90 and all(-180 <= lon <= 180 for lon in (west, east))):
-        raise StoreError(
-            f"the box {list(box)} cannot be: give south, west, north, east in degrees, south not above north"
-        )
