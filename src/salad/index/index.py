@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -312,7 +311,7 @@ class Index:
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
-        return (photo for photo, _ in listed(self._catalog))
+        return listed(self._catalog)
 
     def pages(self) -> Iterator[Page]:
         """Every photo with its content and descriptor, as one commit holds them, some at a time.
@@ -364,9 +363,7 @@ class Index:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _snapshot(self) -> Snapshot:

@@ -171,12 +171,7 @@ class FileRows:
         self._swept = True
 
     def block(self, start: int, stop: int, spare: Block) -> Block:
-        """The rows from `start` to `stop`, not to be written to; fewer where the last of them are lost.
-
-        Args:
-            start: The first row.
-            stop: The row behind the last.
-            spare: Memory `[n, dim]` for rows that are not kept, n >= stop - start; used where need be.
+        """The rows from `start` to `stop`, as `salad.search.base.Rows` says.
 
         Raises:
             StoreError: If the disk does not give them; or some are lost, where none may be damaged.

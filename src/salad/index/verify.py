@@ -19,12 +19,11 @@ from salad.index.catalog import PHOTO, UNKNOWN, Catalog, row_trouble
 from salad.index.index_folder import Header
 from salad.index.vectors import FileRows, Half, Snapshot
 from salad.search.base import UNIT_TOLERANCE, Mask, Numbers
+from salad.search.filters import Box
 
 _ROUNDING = 1e-3  # what float16 may take from a length, and add to it: half of 2^-10
 _BLOCK = 1 << 22  # numbers looked at in one go
 _CHECKED = 1024  # rows found whose checksums are looked up in one go
-
-Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

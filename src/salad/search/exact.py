@@ -27,8 +27,8 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from queue import Empty, SimpleQueue
-from threading import Lock
+from queue import SimpleQueue
+from threading import Event, Lock
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numkong
@@ -143,27 +143,37 @@ class ExactSearcher:
     def _search(self, queries: Queries, k: int, allowed: Mask | None) -> list[Hits]:
         """Let all rows pass by these queries; what was found for each batch of them."""
         many = len(self) >= _MANY_ROWS and len(queries) >= _MANY_QUERIES and k <= _FEW
-        has = numkong.get_capabilities()
-        kernel = _COARSE if many and any(has.get(name) for name in _BFLOAT16) else _HALF
+        quick = many and any(numkong.get_capabilities().get(name) for name in _BFLOAT16)
+        kernel = _COARSE if quick else _HALF
         batches = [
             _Batch(some, _Candidates(self._rows, some, k), kernel) for some in _pieces(queries, _BATCH)
         ]
         threads = max(1, min(self._threads, len(self) * self.dim * len(queries) // _WORK))
         # Four blocks a thread at least, so that a slow one does not keep the others waiting.
         size = max(1, min(_BLOCK // self.dim, -(-len(self) // (4 * threads))))
-        todo = _Todo(len(self), size, allowed)
+        starts = (
+            start
+            for start in range(0, len(self), size)
+            if allowed is None or allowed[start : start + size].any()
+        )
+        todo: SimpleQueue[int | None] = (
+            SimpleQueue()
+        )  # blocks that nobody has begun, then an end for each thread
+        for start in [*starts, *[None] * threads]:
+            todo.put(start)
+        stopped = Event()
 
         def sweep(_: int) -> None:
             try:
                 reader = _Reader(self._rows, size, allowed, kernel)
-                for start, stop in todo:
-                    block = reader.read(start, stop)
+                for start in iter(todo.get, None):
+                    block = reader.read(start, min(start + size, len(self)))
                     for batch in batches:
-                        if todo.stopped:  # a block may take seconds where queries are many
+                        if stopped.is_set():  # a block may take seconds where queries are many
                             return
                         batch.offer(block)
             except BaseException:
-                todo.stopped = True  # where this thread fails, the others need not go on
+                stopped.set()  # where this thread fails, the others need not go on
                 raise
 
         with nullcontext() if threads == 1 else ThreadPoolExecutor(threads, "salad-search") as team:
@@ -171,7 +181,7 @@ class ExactSearcher:
             try:
                 list(each(sweep, range(threads)))
             except BaseException:
-                todo.stopped = True  # on an interrupt too, or leaving would wait for all of it
+                stopped.set()  # on an interrupt too, or leaving would wait for all of it
                 raise
             return list(each(lambda batch: batch.candidates.hits(), batches))
 
@@ -188,28 +198,6 @@ def _processors() -> int:
         return int(asked)
     may = getattr(os, "sched_getaffinity", None)
     return len(may(0)) if may else os.cpu_count() or 1
-
-
-class _Todo:
-    """Blocks that nobody has begun yet: (first row, row behind the last). Threads share it.
-
-    Blocks of which no row is allowed are left out. Once it is `stopped`, there are no more.
-    """
-
-    def __init__(self, rows: int, size: int, allowed: Mask | None) -> None:
-        self.stopped = False
-        self._left: SimpleQueue[tuple[int, int]] = SimpleQueue()
-        for start in range(0, rows, size):
-            stop = min(start + size, rows)
-            if allowed is None or allowed[start:stop].any():
-                self._left.put((start, stop))
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        try:
-            while not self.stopped:
-                yield self._left.get_nowait()
-        except Empty:
-            return
 
 
 class _Ready(NamedTuple):
