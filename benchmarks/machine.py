@@ -28,7 +28,7 @@ def machine() -> str:
     return f"{named}, {system}, Python {platform.python_version()}"
 
 
-def conditions(*packages: str, seed: int | None, **settings: Any) -> dict[str, Any]:
+def conditions(*packages: str, seed: int | None = None, **settings: Any) -> dict[str, Any]:
     """What somebody needs who repeats a figure: the machine, versions, the date, the seed and the settings.
 
     Args:

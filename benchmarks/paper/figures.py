@@ -53,10 +53,10 @@ class Claim:
     """What the paper says of one model.
 
     Attributes:
-        title: what it is called.
-        figures: recall in percent by protocol and by k.
-        dim: numbers in its descriptor; None where the paper does not say.
-        aside: why its figures are not to be set against ours; empty where they are.
+        title: What it is called.
+        figures: Recall in percent by protocol and by k.
+        dim: Numbers in its descriptor; None where the paper does not say.
+        aside: Why its figures are not to be set against ours; empty where they are.
     """
 
     title: str
@@ -80,7 +80,8 @@ def first(method: str) -> Claim:
     row = next((row for row in grid if row.name == method), None)
     known = {} if row is None else _of_grid(row)
     figures = {
-        protocol: known.get(protocol, {}) | _pair(cell)
+        protocol: known.get(protocol, {})
+        | {k: float(text) for k, text in zip((1, 5), cell.split("/"), strict=True) if text != "-"}
         for protocol, cell in zip(_COLUMNS, _FIRST[method].split(), strict=True)
     }
     return Claim(_TITLES[method], figures, _dim(row) if row is not None and method in _SIZES else None)
@@ -89,10 +90,6 @@ def first(method: str) -> Claim:
 def protocols() -> tuple[str, ...]:
     """The named protocols that the paper has figures of."""
     return _COLUMNS
-
-
-def _pair(cell: str) -> dict[int, float]:
-    return {k: float(text) for k, text in zip((1, 5), cell.split("/"), strict=True) if text != "-"}
 
 
 def _of_grid(row: GridRow) -> dict[str, dict[int, float]]:

@@ -9,7 +9,6 @@ from typing import Any
 
 from benchmarks.paper.figures import SOURCE, Claim
 from salad.datasets.protocols import PROTOCOLS
-from salad.evaluation.bootstrap import Interval
 from salad.evaluation.result import Result
 
 LEFT_OUT = "Its column of the MSLS challenge is left out: no named protocol judges it."
@@ -23,14 +22,14 @@ class Judged:
     """A model that was judged.
 
     Attributes:
-        name: names its row in JSON and its files.
-        claim: what the paper says of it.
-        spec: what was loaded.
-        dim: numbers in its descriptor; None where it was judged elsewhere.
-        fingerprint: of its weights and settings; empty where they are not known.
-        image: height and width in pixels that photos were squeezed to, where known.
-        trained: how, where a run says.
-        unlike: why it is not the paper's model; empty where it is, as far as can be seen.
+        name: Names its row in JSON and its files.
+        claim: What the paper says of it.
+        spec: What was loaded.
+        dim: Numbers in its descriptor; None where it was judged elsewhere.
+        fingerprint: Of its weights and settings; empty where they are not known.
+        image: Height and width in pixels that photos were squeezed to, where known.
+        trained: How, where a run says.
+        unlike: Why it is not the paper's model; empty where it is, as far as can be seen.
     """
 
     name: str
@@ -93,9 +92,9 @@ class Report:
     """All there is so far.
 
     Attributes:
-        figures: in the order they were measured.
-        missing: sentences on what was not run.
-        made: when, where and with what: `date`, `machine`, `device` and `versions`.
+        figures: In the order they were measured.
+        missing: Sentences on what was not run.
+        made: When, where and with what: `date`, `machine`, `device` and `versions`.
     """
 
     figures: list[Figure] = field(default_factory=list)
@@ -162,7 +161,8 @@ def _section(protocol: str, figures: Sequence[Figure]) -> str:
 
 def _cells(one: Figure, k: int) -> list[str]:
     """Ours with its interval, the paper's, and the difference."""
-    ours = f"{_tenths(one.result.recall[k]) / 10:.1f} {_between(one.result.intervals[k])}"
+    interval = one.result.intervals[k]
+    ours = f"{_tenths(one.result.recall[k]) / 10:.1f} ({interval.low:.1f} to {interval.high:.1f})"
     if k not in one.paper:
         return [ours, NOTHING, NOTHING]
     difference = one.difference(k)
@@ -203,10 +203,6 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _plain(text: str) -> str:
     """A name that may hold anything, in one cell of one line."""
     return " ".join(text.replace("|", "\\|").split())
-
-
-def _between(interval: Interval) -> str:
-    return f"({interval.low:.1f} to {interval.high:.1f})"
 
 
 def _tenths(percent: float) -> int:

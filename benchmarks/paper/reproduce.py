@@ -17,16 +17,15 @@ Leaves with 0 where every figure is within a point of the paper's, 1 where one i
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from benchmarks.machine import machine
+from benchmarks.machine import conditions
 from benchmarks.options import RUNS
 from benchmarks.paper.figures import METHODS, first, protocols
 from benchmarks.paper.page import Figure, Judged, Report
@@ -40,6 +39,8 @@ from salad.errors import BenchmarkError, SaladError
 from salad.evaluation.evaluate import evaluate
 from salad.evaluation.result import read_result, write_result
 from salad.files import write_whole
+from salad.models.model_folder import load as load_model
+from salad.training.devices import versions
 
 if TYPE_CHECKING:
     from salad.models.describer import DescriberLike
@@ -58,7 +59,7 @@ def main(arguments: Sequence[str] | None = None, *, load: Load | None = None) ->
     """Run it; the exit code."""
     asked = _parser().parse_args(arguments)
     try:
-        return _run(asked, load or _load)
+        return _run(asked, load or load_model)
     except (SaladError, OSError) as error:
         terminal.say(f"reproduce-paper: {error}")
         return terminal.BAD_INPUT
@@ -74,7 +75,10 @@ def _run(asked: argparse.Namespace, load: Load) -> int:
     for row in wanted:
         if row.given:
             check_given(row, load(row.spec, device="cpu"))
-    report = Report(made=_made(asked.device), figures=[_outside(*each) for each in asked.result or []])
+    report = Report(
+        made={**conditions(), "device": asked.device, "versions": versions()},
+        figures=[_outside(*each) for each in asked.result or []],
+    )
     benchmarks = _benchmarks(asked, report)
     if not benchmarks and not report.figures:
         raise BenchmarkError("there is no data set to run on: name the folder that holds them")
@@ -95,7 +99,7 @@ def _benchmarks(asked: argparse.Namespace, report: Report) -> list[Benchmark]:
     """The sets that are there; what is missing is said and noted.
 
     Raises:
-        BenchmarkError: a folder that was named for a set is not that set.
+        BenchmarkError: If a folder that was named for a set is not that set.
     """
     if asked.data is not None and not asked.data.is_dir():
         raise BenchmarkError(f"there is no folder {asked.data}: name the one that holds the data sets")
@@ -121,7 +125,12 @@ def _figures(
     except SaladError as error:
         _pass_over(report, f"{row.claim.title}: {error}")
         return
-    judged = _judged(row, model)
+    judged = Judged(
+        *(row.name, row.claim, row.spec, model.dim, model.fingerprint),
+        image=(model.preprocessing.height, model.preprocessing.width),
+        trained=row.trained,
+        unlike=tuple(unlike(row.claim, model)),
+    )
     cache = asked.to / "descriptors"
     for benchmark in benchmarks:
         photos = len(benchmark.references) + len(benchmark.queries)
@@ -144,7 +153,7 @@ def _outside(method: str, saved: str) -> Figure:
     """A method of the first table that was judged before, from a saved result.
 
     Raises:
-        BenchmarkError: the paper has no such method, or the result cannot be read or has no R@1 and R@5.
+        BenchmarkError: If the paper has no such method, or the result cannot be read or has no R@1 and R@5.
     """
     if method not in METHODS:
         raise BenchmarkError(f"--result {method}: the paper's first table has {', '.join(METHODS)}")
@@ -156,30 +165,9 @@ def _outside(method: str, saved: str) -> Figure:
     return Figure(Judged(f"{method}-{saved}", claim, saved, None, result.fingerprint, None), result)
 
 
-def _judged(row: Row, model: DescriberLike) -> Judged:
-    image = model.preprocessing.height, model.preprocessing.width
-    why = tuple(unlike(row.claim, model))
-    return Judged(
-        row.name, row.claim, row.spec, model.dim, model.fingerprint, image, trained=row.trained, unlike=why
-    )
-
-
 def _pass_over(report: Report, sentence: str) -> None:
     terminal.say(f"passed over: {sentence}")
     report.missing.append(sentence)
-
-
-def _load(spec: str, **settings: Any) -> DescriberLike:
-    from salad.models.model_folder import load
-
-    return load(spec, **settings)
-
-
-def _made(device: str) -> dict[str, Any]:
-    from salad.training.devices import versions
-
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    return {"date": today, "machine": machine(), "device": device, "versions": versions()}
 
 
 def _write(report: Report, to: Path) -> None:

@@ -24,11 +24,11 @@ class Row:
     """A model to judge.
 
     Attributes:
-        name: names it on the command line and in files.
-        claim: what the paper says of it.
-        spec: what to load.
-        trained: how, where a run says.
-        given: whether it is a file that somebody says is the paper's own.
+        name: Names it on the command line and in files.
+        claim: What the paper says of it.
+        spec: What to load.
+        trained: How, where a run says.
+        given: Whether it is a file that somebody says is the paper's own.
     """
 
     name: str
@@ -44,18 +44,22 @@ def rows(
     """The models asked for.
 
     Args:
-        sizes: what to load as `full`, `medium` and `small`, where anything.
-        backbones: what to load without an aggregator; the paper has no figure of that.
-        runs: folders that `salad compare` wrote.
-        only: names of rows, where not all.
+        sizes: What to load as `full`, `medium` and `small`, where anything.
+        backbones: What to load without an aggregator; the paper has no figure of that.
+        runs: Folders that `salad compare` wrote.
+        only: Names of rows, where not all.
 
     Raises:
-        BenchmarkError: two have one name, `only` names none, or a folder holds no run.
-        ModelError: what a run says of itself cannot be read.
-        WeightsError: a model is not there.
+        BenchmarkError: If two have one name, `only` names none, or a folder holds no run.
+        ModelError: If what a run says of itself cannot be read.
+        WeightsError: If a model is not there.
     """
     found = [_sized(name, spec) for name, spec in sizes.items() if spec is not None]
-    found += [_bare(spec) for spec in backbones]
+    for spec in backbones:
+        name = spec if spec in ZOO else Path(spec).stem
+        found.append(
+            Row(name, Claim(f"{name} as it is", {}), spec)
+        )  # the paper has no figure of a bare backbone
     found += [row for folder in runs for row in _trained(folder)]
     names = [row.name for row in found]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -75,7 +79,7 @@ def check_given(row: Row, model: DescriberLike) -> None:
     """Refuse now, not after a night of describing, a file that is not the model it was given as.
 
     Raises:
-        WeightsError: it is another model.
+        WeightsError: If it is another model.
     """
     wrong = list(unlike(row.claim, model))
     if wrong:
@@ -106,7 +110,7 @@ def _sized(name: str, spec: str) -> Row:
     """One of the paper's three models.
 
     Raises:
-        WeightsError: it is a name of the zoo that means another model.
+        WeightsError: If it is a name of the zoo that means another model.
     """
     if spec in ZOO and not (name == "full" and spec == FULL):
         raise WeightsError(
@@ -114,11 +118,6 @@ def _sized(name: str, spec: str) -> Row:
             + (f", or {FULL}" if name == "full" else "")
         )
     return Row(name, first(name), spec, given=spec not in ZOO)
-
-
-def _bare(spec: str) -> Row:
-    name = spec if spec in ZOO else Path(spec).stem
-    return Row(name, Claim(f"{name} as it is", {}), spec)
 
 
 def _trained(runs: Path) -> list[Row]:
@@ -131,7 +130,7 @@ def _trained(runs: Path) -> list[Row]:
                     said = claim(each)
                     called = replace(said, title=f"{said.title}, {run.name} of {grid}")
                     name = f"{grid}-{each.name}-{run.name}"
-                    found.append(Row(name, called, str(run / "model"), _terms(run)))
+                    found.append(Row(name, called, str(run / "model"), _training_of(run)))
     if not found:
         raise BenchmarkError(
             f"{runs} holds no model of a run: give a folder that salad compare wrote, with <row>/seed<k>/model"
@@ -139,7 +138,7 @@ def _trained(runs: Path) -> list[Row]:
     return found
 
 
-def _terms(run: Path) -> str:
+def _training_of(run: Path) -> str:
     """How a run's model was trained, in a few words; nothing where it has come to no result."""
     result = read_result(run)
     if result is None:

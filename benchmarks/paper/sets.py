@@ -24,12 +24,12 @@ def find_set(name: str, data: Path | None, *, any_size: bool = False) -> Benchma
     """The set of a protocol, in a folder or in one right below it.
 
     Args:
-        name: the protocol's.
-        data: the folder of all sets.
-        any_size: take a set of other counts too; its protocol then says how many there are.
+        name: The protocol's.
+        data: The folder of all sets.
+        any_size: Take a set of other counts too; its protocol then says how many there are.
 
     Raises:
-        BenchmarkError: it is not there, with what was looked for; or what is there is another set, with what differs.
+        BenchmarkError: If it is not there, with what was looked for; or is another set, with what differs.
     """
     asked = protocol_called(name)
     refused: BenchmarkError | None = None
