@@ -41,12 +41,7 @@ def write_report(result: Result, page: Path, model: DescriberLike | None = None)
 def draw_report(
     result: Result, page: Path, model: DescriberLike | None = None
 ) -> tuple[str, tuple[str, ...]]:
-    """The page as text, and sentences about photos that could not be shown.
-
-    Args:
-        result: What to show.
-        page: Where it will stand, since its links to photos begin there.
-        model: As for `write_report`.
+    """What `write_report` writes, whose links to photos begin at `page`, and what it returns.
 
     Raises:
         BenchmarkError: If the result has no recall to show.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from salad.demo.town.raster import HOLE, MATTE, Floats, Texture
+from salad.demo.town.raster import MATTE, Floats, Texture
 
 Paint = Sequence[float] | NDArray[Any]
 GRAIN = 32.0  # texels a metre on facades
@@ -64,10 +64,6 @@ class Canvas:
     def tone(self, left: float, low: float, right: float, high: float, factor: float) -> None:
         """Darken or lighten a rectangle."""
         self.rgb[self.box(left, low, right, high)] *= np.float32(factor)
-
-    def cut(self, left: float, low: float, right: float, high: float) -> None:
-        """Make a hole."""
-        self.kind[self.box(left, low, right, high)] = HOLE
 
     def grid(self) -> tuple[Floats, Floats]:
         """Metres from the left and from the ground, of every texel ``[H, W]``."""

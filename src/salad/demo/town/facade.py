@@ -6,7 +6,7 @@ import numpy as np
 
 from salad.demo.town.canvas import GRAIN, Canvas, Paint, noise, ramp
 from salad.demo.town.plan import NAMES, Style
-from salad.demo.town.raster import DISPLAY, LAMP, WINDOW
+from salad.demo.town.raster import DISPLAY, HOLE, LAMP, MATTE, WINDOW
 
 CORNICE = 0.6  # height of the ledge below a flat roof, in metres
 PARAPET = 0.7  # height of the wall above a flat roof's eaves, in metres
@@ -55,11 +55,11 @@ class Facade(Canvas):
         across, up = style.mullions
         for edge in range(across + 1):
             place = left + 0.02 + edge * (width - 0.07) / across
-            self.rect(place, low, place + 0.07, high - 0.06, style.frame, 1)
+            self.rect(place, low, place + 0.07, high - 0.06, style.frame, MATTE)
         for edge in range(up + 1):
             place = low + edge * (height - 0.13) / up
-            self.rect(left + 0.02, place, right - 0.02, place + 0.07, style.frame, 1)
-        self.rect(left, high - 0.09, right, high, (58, 56, 54), 1)
+            self.rect(left + 0.02, place, right - 0.02, place + 0.07, style.frame, MATTE)
+        self.rect(left, high - 0.09, right, high, (58, 56, 54), MATTE)
         # The reveal: the glass lies a hand's breadth behind the wall.
         self.tone(left, low, left + 0.05, high, 0.62)
         if "arches" in extras:
@@ -67,7 +67,7 @@ class Facade(Canvas):
             x, y = (part[rows, columns] for part in self.grid())
             corner = y > high - 0.3 + 0.3 * np.sqrt(np.clip(1 - ((x - middle) / (width / 2)) ** 2, 0, 1))
             self.rgb[rows, columns][corner] = style.trim
-            self.kind[rows, columns][corner] = 1
+            self.kind[rows, columns][corner] = MATTE
         self.rect(left - 0.16, low - 0.13, right + 0.16, low - 0.03, np.array(style.trim) * 1.05)
         self.tone(left - 0.14, low - 0.22, right + 0.14, low - 0.13, 0.66)
         if "shutters" in extras:
@@ -102,19 +102,19 @@ class Facade(Canvas):
         closed = self.rng.random() < 0.1
         open_wings = (left - reach - 0.05, left - 0.05), (right + 0.05, right + reach + 0.05)
         for start, stop in ((left, right),) if closed else open_wings:
-            self.rect(start, low, stop, high, self.style.accent, 1)
+            self.rect(start, low, stop, high, self.style.accent, MATTE)
             for slat in np.arange(low + 0.08, high - 0.08, 0.13):
                 self.tone(start + 0.06, slat, stop - 0.06, slat + 0.05, 0.72)
             self.tone(stop, low - 0.04, stop + 0.05, high, 0.7)
 
     def _flowers(self, left: float, low: float, right: float) -> None:
         rng = self.rng
-        self.rect(left, low - 0.12, right, low + 0.08, (92, 70, 52), 1)
+        self.rect(left, low - 0.12, right, low + 0.08, (92, 70, 52), MATTE)
         bloom = [(206, 60, 70), (226, 150, 60), (220, 120, 170), (236, 226, 210)][int(rng.integers(4))]
         for _ in range(int((right - left) * 40)):
             across, up = rng.uniform(left, right), low + 0.02 + abs(rng.normal(0, 0.12))
             colour = bloom if rng.random() < 0.4 else (60 + int(rng.integers(40)), 104, 52)
-            self.rect(across, up, across + 0.07, up + 0.07, colour, 1)
+            self.rect(across, up, across + 0.07, up + 0.07, colour, MATTE)
 
     def door(self, middle: float, width: float, height: float) -> None:
         """A door with its surround, light, step, number and lamp."""
@@ -156,8 +156,8 @@ class Facade(Canvas):
             self.rgb[rows, columns] = fade * inside[:high, :wide, None]
             self.kind[rows, columns] = DISPLAY
             if bay == door:
-                self.rect((left + right) / 2 - 0.03, low, (left + right) / 2 + 0.03, sign - 0.2, wood, 1)
-                self.rect(left + 0.05, 2.15, right - 0.05, 2.24, wood, 1)
+                self.rect((left + right) / 2 - 0.03, low, (left + right) / 2 + 0.03, sign - 0.2, wood, MATTE)
+                self.rect(left + 0.05, 2.15, right - 0.05, 2.24, wood, MATTE)
             else:
                 self._goods(left + 0.1, low + 0.08, right - 0.1)
                 self.rect(left, low - 0.1, right, low, np.clip(wood * 1.25, 0, 255))
@@ -183,7 +183,7 @@ class Facade(Canvas):
         """An old advertisement on a bare wall."""
         left, right, low = self.width * 0.12, self.width * 0.88, self.style.ground + 0.1
         accent = np.array(self.style.accent)
-        self.rect(left, low, right, low + 2.2, accent * 0.6 + 70, 1)
+        self.rect(left, low, right, low + 2.2, accent * 0.6 + 70, MATTE)
         self.rect(left + 0.1, low + 0.1, right - 0.1, low + 2.1, accent * 0.85 + 20)
         word = NAMES[int(self.rng.integers(len(NAMES)))]
         self.write(word, left + 0.4, low + 0.6, right - 0.4, low + 1.7, (232, 220, 190))
@@ -274,7 +274,7 @@ class Facade(Canvas):
         growth = 1.15 - edge / rng.uniform(1.6, 3.2) - up / (self.height * rng.uniform(0.6, 0.95))
         # The plant thins out with height and with the distance from its edge; noise frays its outline.
         leaves = growth + 0.3 * noise(self.kind.shape, [*self.style.seed, 24], 6, 4) > 0.25
-        rows, columns = np.nonzero(leaves & (self.kind == 1))
+        rows, columns = np.nonzero(leaves & (self.kind == MATTE))
         leaves_up, leaves_across = self.kind.shape[0] // 3 + 1, self.kind.shape[1] // 4 + 2
         shade = rng.uniform(0.45, 1.35, (leaves_up, leaves_across))  # a leaf is 3 by 4 texels
         leaf = shade[rows // 3, (columns + rows // 3 % 2 * 2) // 4, None]
@@ -287,18 +287,18 @@ class Facade(Canvas):
             self.rect(0, self.height - 0.12, self.width, self.height, style.trim)
             if sum(style.seed) % 3 == 0:
                 for place in np.arange(0.3, self.width - 0.5, 0.34):
-                    self.cut(place, style.eaves + 0.12, place + 0.2, self.height - 0.14)
+                    self.kind[self.box(place, style.eaves + 0.12, place + 0.2, self.height - 0.14)] = HOLE
         elif style.roof == "gable":
             edge = style.eaves + (half - np.abs(across - half)) * style.rise
             self.rgb[up > edge - 0.2] = style.trim
             self.rgb[(up > edge - 0.28) & (up <= edge - 0.2)] *= 0.65
-            self.kind[up > edge] = 0
+            self.kind[up > edge] = HOLE
         elif style.roof == "stepped":
             steps = 5
             step = np.floor((half - np.abs(across - half)) / half * steps) / steps
             edge = style.eaves + step * half * style.rise + 0.75
             self.rgb[up > edge - 0.14] = style.trim
-            self.kind[up > edge] = 0
+            self.kind[up > edge] = HOLE
 
 
 def front_height(style: Style, width: float) -> float:
@@ -349,7 +349,7 @@ def paint_side(style: Style, width: float, number: int) -> Facade:
         side.painted_sign()
     if gable:
         across, up = side.grid()
-        side.kind[up > style.eaves + (width / 2 - np.abs(across - width / 2)) * style.rise] = 0
+        side.kind[up > style.eaves + (width / 2 - np.abs(across - width / 2)) * style.rise] = HOLE
     return side
 
 

@@ -159,11 +159,10 @@ class Street:
 
     def at(self, along: float, left: float = 0.0) -> tuple[Points, Points]:
         """The point so many metres along and to the left, and the street's direction there."""
-        point = np.array([np.interp(along, self.along, self.line[:, axis]) for axis in (0, 1)])
-        # Over a metre and a half, so that the corners between the line's points are not felt.
-        ahead, behind = (
+        # A direction over a metre and a half, so that the corners between the line's points are not felt.
+        behind, point, ahead = (
             np.array([np.interp(along + step, self.along, self.line[:, axis]) for axis in (0, 1)])
-            for step in (0.75, -0.75)
+            for step in (-0.75, 0.0, 0.75)
         )
         direction = (ahead - behind) / np.linalg.norm(ahead - behind)
         return point + left * np.array([-direction[1], direction[0]]), direction

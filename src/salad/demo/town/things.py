@@ -7,7 +7,7 @@ import numpy as np
 from salad.demo.town.canvas import Canvas, noise
 from salad.demo.town.facade import front_height, paint_front, paint_mansard, paint_side
 from salad.demo.town.plan import House, Thing
-from salad.demo.town.raster import LAMP, LEAF, MATTE, Faces
+from salad.demo.town.raster import HOLE, LAMP, LEAF, MATTE, Faces
 
 MANSARD = (2.5, 0.7)  # how high a mansard roof rises and how far it leans back, in metres
 MANSARD_SLOPE = float(np.hypot(*MANSARD))
@@ -18,7 +18,7 @@ def paint_tree(sort: int, variant: int) -> Canvas:
     """A tree as seen from anywhere: 1 metre high and 0.8 wide, to be stretched."""
     rng = np.random.default_rng([sort, variant, 31])
     canvas = Canvas(0.8, 1.0, LEAVES[sort % len(LEAVES)], 320.0)
-    canvas.kind[:] = 0
+    canvas.kind[:] = HOLE
     across, up = canvas.grid()
     trunk = np.abs(across - 0.4 - 0.012 * np.sin(up * 9 + variant)) < 0.02 * (1.5 - up) + 0.012 * (up < 0.04)
     # The trunk ends inside the crown.
@@ -50,7 +50,7 @@ def paint_tree(sort: int, variant: int) -> Canvas:
 def paint_lamp() -> Canvas:
     """A street lamp, 5.2 m high and 0.8 m wide."""
     canvas = Canvas(0.8, 5.2, (44, 50, 50))
-    canvas.kind[:] = 0
+    canvas.kind[:] = HOLE
     canvas.rect(0.36, 0, 0.44, 4.4, (44, 52, 52), MATTE)
     canvas.rect(0.3, 0, 0.5, 0.9, (40, 46, 46), MATTE)
     canvas.rect(0.32, 4.4, 0.48, 4.46, (40, 46, 46), MATTE)
@@ -80,7 +80,7 @@ def paint_stripes(colour: tuple[int, int, int], scallops: bool) -> Canvas:
     across, up = canvas.grid()
     canvas.rgb[(across * 4) % 2 < 1] = (236, 230, 216)
     if scallops:
-        canvas.kind[up < 0.5 * np.abs(np.sin(across * np.pi * 4))] = 0
+        canvas.kind[up < 0.5 * np.abs(np.sin(across * np.pi * 4))] = HOLE
     return canvas
 
 
@@ -88,7 +88,7 @@ def paint_railing() -> Canvas:
     """Iron bars, a metre square."""
     canvas = Canvas(1.0, 1.0, (34, 36, 40), 32.0, fits=False)
     across, up = canvas.grid()
-    canvas.kind[((across * 8) % 1 > 0.3) & (up > 0.12) & (up < 0.9)] = 0
+    canvas.kind[((across * 8) % 1 > 0.3) & (up > 0.12) & (up < 0.9)] = HOLE
     return canvas
 
 
@@ -189,9 +189,8 @@ def paint_car(profile: int, paint: int) -> Canvas:
     canvas = Canvas(outline[:, 0].max() + 0.01, 2.0, PAINTS[paint], 96.0)
     across, up = canvas.grid()
     roof = np.interp(across, outline[1:-1, 0], outline[1:-1, 1])
-    canvas.rgb *= (0.72 + 0.4 * np.clip((up - 0.3) / 0.7, 0, 1) - 0.25 * (np.abs(up - 0.62) < 0.03))[
-        ..., None
-    ]
+    shade = 0.72 + 0.4 * np.clip((up - 0.3) / 0.7, 0, 1) - 0.25 * (np.abs(up - 0.62) < 0.03)
+    canvas.rgb *= shade[..., None]
     # A van's windows begin higher, and only its front has any.
     waist = 0.93 if profile < 2 else 1.12
     glass = (up > waist) & (up < roof - 0.1) & (across > outline[2, 0] + 0.25)
@@ -200,7 +199,7 @@ def paint_car(profile: int, paint: int) -> Canvas:
     canvas.rgb[glass & (across + up * 0.6 > outline[3, 0] + 1.5)] = (74, 86, 96)
     for pillar in (outline[3, 0] + 0.62, outline[3, 0] + 0.66):
         canvas.tone(pillar, 0.4, pillar + 0.05, roof.max() - 0.06, 0.55)
-    canvas.kind[(up > roof) | (up < 0.24)] = 0
+    canvas.kind[(up > roof) | (up < 0.24)] = HOLE
     for wheel in (0.75, canvas.width - 0.8):
         away = np.hypot(across - wheel, up - 0.31)
         canvas.rgb[away < 0.38] = (18, 18, 20)
