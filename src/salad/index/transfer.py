@@ -12,7 +12,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import islice
@@ -163,15 +163,13 @@ def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
 def _degrees(value: object, name: str) -> float | None:
     if value is None or value == "":
         return None
-    try:
+    with suppress(ValueError):
         number = float(str(value))
-    except ValueError:
-        raise ValueError(f"{name} {value!r} is not a number of degrees") from None
-    if math.isnan(number):  # as pandas writes what is not known
-        return None
-    if not abs(number) <= 1e6:
-        raise ValueError(f"{name} {value!r} is not a number of degrees")
-    return number
+        if math.isnan(number):  # as pandas writes what is not known
+            return None
+        if abs(number) <= 1e6:  # not so large that a turn is lost in rounding
+            return number
+    raise ValueError(f"{name} {value!r} is not a number of degrees")
 
 
 @dataclass(frozen=True, slots=True)

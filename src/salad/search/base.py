@@ -137,6 +137,11 @@ class Hits:
     rows: Numbers
     scores: Scores
 
+    @classmethod
+    def none(cls, queries: int, k: int) -> Hits:
+        """Nothing found yet, to be filled in."""
+        return cls(np.full((queries, k), -1, dtype=np.int64), np.full((queries, k), -np.inf))
+
 
 class Searcher(Protocol):
     """The seam that every search engine keeps, whatever holds the rows; tests/search/test_contract.py sees to it."""

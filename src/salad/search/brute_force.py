@@ -49,10 +49,7 @@ class BruteForceSearcher:
         """The k best rows of each query, as `Searcher.search` says."""
         check_k(k)
         asked, mask = as_queries(queries, self.dim).astype(np.float64), as_mask(allowed, len(self))
-        hits = Hits(
-            np.full((len(asked), min(k, len(self))), -1, dtype=np.int64),
-            np.full((len(asked), min(k, len(self))), -np.inf),
-        )
+        hits = Hits.none(len(asked), min(k, len(self)))
         for number, query in enumerate(asked):
             with np.errstate(invalid="ignore"):  # infinity times 0, in a damaged row
                 scores = (self._rows * query).sum(axis=1)

@@ -132,7 +132,7 @@ class ExactSearcher:
         asked, mask = as_queries(queries, self.dim), as_mask(allowed, len(self))
         k = min(k, len(self))
         if not k or not len(asked):
-            return Hits(np.empty((len(asked), k), dtype=np.int64), np.empty((len(asked), k)))
+            return Hits.none(len(asked), k)
         found = [
             hits for some in _pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, mask)
         ]
@@ -151,23 +151,20 @@ class ExactSearcher:
         threads = max(1, min(self._threads, len(self) * self.dim * len(queries) // _WORK))
         # Four blocks a thread at least, so that a slow one does not keep the others waiting.
         size = max(1, min(_BLOCK // self.dim, -(-len(self) // (4 * threads))))
-        starts = (
-            start
-            for start in range(0, len(self), size)
-            if allowed is None or allowed[start : start + size].any()
-        )
-        todo: SimpleQueue[int | None] = (
-            SimpleQueue()
-        )  # blocks that nobody has begun, then an end for each thread
-        for start in [*starts, *[None] * threads]:
-            todo.put(start)
+        # Where blocks begin that nobody has begun, if a row of them is allowed; behind them, an end for each thread.
+        todo: SimpleQueue[int | None] = SimpleQueue()
+        for start in range(0, len(self), size):
+            if allowed is None or allowed[start : start + size].any():
+                todo.put(start)
+        for _ in range(threads):
+            todo.put(None)
         stopped = Event()
 
         def sweep(_: int) -> None:
             try:
                 reader = _Reader(self._rows, size, allowed, kernel)
-                for start in iter(todo.get, None):
-                    block = reader.read(start, min(start + size, len(self)))
+                for first in iter(todo.get, None):
+                    block = reader.read(first, min(first + size, len(self)))
                     for batch in batches:
                         if stopped.is_set():  # a block may take seconds where queries are many
                             return
@@ -378,8 +375,7 @@ class _Candidates:
         with self._lock:
             self._leave_behind()
             self._settle()
-            shape = len(self._queries), self.k
-            found = Hits(np.full(shape, -1, dtype=np.int64), np.full(shape, -np.inf))
+            found = Hits.none(len(self._queries), self.k)
             rank = _ranks(self._pairs.query)
             found.rows[self._pairs.query, rank] = self._pairs.row
             found.scores[self._pairs.query, rank] = self._pairs.low
