@@ -52,18 +52,12 @@ def _position_of_class(graph: Any, stored: dict[str, np.ndarray]) -> np.ndarray:
     return next(stored[name] for name in join.input if name in stored and stored[name].shape == (1, 1, WIDTH))
 
 
-def _block(
-    number: int, stored: dict[str, np.ndarray], factors: dict[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def _block(number: int, stored: dict[str, np.ndarray], factors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     layer, node = f"backbone.encoder.layer.{number}", f"/backbone/encoder/layer.{number}"
     parts = ("query", "key", "value")
     own = {
-        "attn.qkv.weight": np.concatenate(
-            [factors[f"{node}/attention/attention/{part}/MatMul"].T for part in parts]
-        ),
-        "attn.qkv.bias": np.concatenate(
-            [stored[f"{layer}.attention.attention.{part}.bias"] for part in parts]
-        ),
+        "attn.qkv.weight": np.concatenate([factors[f"{node}/attention/attention/{part}/MatMul"].T for part in parts]),
+        "attn.qkv.bias": np.concatenate([stored[f"{layer}.attention.attention.{part}.bias"] for part in parts]),
         "attn.proj.weight": factors[f"{node}/attention/output/dense/MatMul"].T,
         "attn.proj.bias": stored[f"{layer}.attention.output.dense.bias"],
     }
@@ -78,9 +72,7 @@ def _block(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path, help="the package's ONNX file")
     parser.add_argument("to", type=Path, help="the file to write")
     asked = parser.parse_args()

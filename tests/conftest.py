@@ -9,9 +9,7 @@ import pytest
 from hypothesis import settings
 
 settings.register_profile("here", deadline=None)  # a busy machine is no bug
-settings.register_profile(
-    "ci", deadline=None, derandomize=True
-)  # a verdict on the change, not on the day's luck
+settings.register_profile("ci", deadline=None, derandomize=True)  # a verdict on the change, not on the day's luck
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 

@@ -32,7 +32,8 @@ from salad.geo import GeoPoint
 from salad.images import workers
 from salad.images.decode import existing
 from salad.images.metadata import Position, at_name, parse_at_name, to_exif
-from salad.images.photo import PhotoTable, listed
+from salad.images.photo import listed
+from salad.images.photo_table import PhotoTable
 from salad.images.workers import FEW, Workers
 
 THOROUGH = "SALAD_THOROUGH" in os.environ
@@ -329,9 +330,7 @@ def one_sentence(error: Exception, path: Path | str = "") -> None:
 
 
 WHOLE = at_name(GeoPoint(37.7, -122.4), heading=90, time=datetime(2024, 5, 31), panoid="p", note="n")
-FIELDS = st.sampled_from(
-    [*WHOLE.split("@"), "", "1e9", "-0", "nan", "٣", "00", "999999999999", "S", "20241301"]
-)
+FIELDS = st.sampled_from([*WHOLE.split("@"), "", "1e9", "-0", "nan", "٣", "00", "999999999999", "S", "20241301"])
 NAMES = st.one_of(
     st.text(max_size=200),
     st.lists(st.one_of(FIELDS, st.text(max_size=12)), max_size=20).map("@".join),

@@ -147,12 +147,8 @@ def test_a_coordinate_off_the_grid_is_refused(grid: Utm) -> None:
         from_utm(grid)
 
 
-@given(
-    st.floats(1e5, 999_999), st.floats(0, 1e7), st.integers(1, 60), st.sampled_from("CDEFGHJKLMNPQRSTUVWX")
-)
-def test_any_coordinate_is_a_point_or_refused(
-    easting: float, northing: float, zone: int, letter: str
-) -> None:
+@given(st.floats(1e5, 999_999), st.floats(0, 1e7), st.integers(1, 60), st.sampled_from("CDEFGHJKLMNPQRSTUVWX"))
+def test_any_coordinate_is_a_point_or_refused(easting: float, northing: float, zone: int, letter: str) -> None:
     try:
         point = from_utm(Utm(easting, northing, zone, letter))
     except PositionError:
@@ -168,9 +164,7 @@ def test_the_poles_have_no_utm(lat: float) -> None:
 
 @given(points, st.floats(-1e5, 1e5), st.floats(-1e5, 1e5))
 def test_shifted_lies_as_far_away_as_asked(point: GeoPoint, north: float, east: float) -> None:
-    assert metres_between(point, shifted(point, north, east)) == pytest.approx(
-        math.hypot(north, east), abs=1e-3
-    )
+    assert metres_between(point, shifted(point, north, east)) == pytest.approx(math.hypot(north, east), abs=1e-3)
 
 
 def test_shifted_goes_north_and_east_and_round_the_date_line() -> None:

@@ -97,17 +97,14 @@ def test_a_published_file_needs_torch_to_be_read(tmp_path: Path) -> None:
     assert ran.returncode == 2
     code = "import salad; salad.load(sys.argv[1])"
     assert (
-        "MissingExtraError: running a model by torch needs the 'torch' extra"
-        in run(code, tmp_path / "a.ckpt").stderr
+        "MissingExtraError: running a model by torch needs the 'torch' extra" in run(code, tmp_path / "a.ckpt").stderr
     )
 
 
-@pytest.mark.parametrize(
-    "room", ["cli", "models", "index", "localize", "evaluation", "report", "datasets", "search"]
-)
+@pytest.mark.parametrize("room", ["cli", "models", "index", "localize", "evaluation", "report", "datasets", "search"])
 def test_no_room_has_tensors_from_safetensors(room: str) -> None:
     """The imports of torch itself are import-linter's to find; a package's torch half is not."""
     for file in (Path(salad.__file__).parent / room).rglob("*.py"):
-        assert not re.search(
-            r"safetensors\.torch|utils\.dlpack|\.from_numpy", file.read_text(encoding="utf-8")
-        ) or (file.name == "engines.py"), file
+        assert not re.search(r"safetensors\.torch|utils\.dlpack|\.from_numpy", file.read_text(encoding="utf-8")) or (
+            file.name == "engines.py"
+        ), file

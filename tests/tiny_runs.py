@@ -61,9 +61,7 @@ def lite() -> ModelConfig:
 
 @pytest.fixture(scope="session")
 def vit(lite: ModelConfig) -> ModelConfig:
-    return dataclasses.replace(
-        lite, backbone=ViTConfig(16, 2, 2, grid=3), preprocessing=Preprocessing(42, 42)
-    )
+    return dataclasses.replace(lite, backbone=ViTConfig(16, 2, 2, grid=3), preprocessing=Preprocessing(42, 42))
 
 
 @pytest.fixture(scope="session")

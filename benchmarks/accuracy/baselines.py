@@ -77,9 +77,7 @@ class Hog:
         """Directions in each cell, `[cells, cells, orientations]`, weighted by gradient length."""
         down, right = np.gradient(grey)
         length = np.hypot(down, right)
-        turn = (
-            np.arctan2(down, right) % np.pi / np.pi * self.orientations
-        )  # light on dark counts as dark on light
+        turn = np.arctan2(down, right) % np.pi / np.pi * self.orientations  # light on dark counts as dark on light
         low = np.floor(turn)
         cells = self.side // self.cell
         histogram = np.zeros((cells, cells, self.orientations))

@@ -140,9 +140,7 @@ def held_out(model: Describer, data: Path, city: str, *, centred: bool) -> tuple
     index = described(model, [gsv(path) for path in known + others], f"{city}, the index")
     asked = [(place.name, gsv(path)) for place in here for path in place.photos[-NEWEST:]]
     far = [(name, Photo(path)) for name, path in strangers(apart, city)]
-    queries = described(
-        model, [photo for _, photo in asked], f"{city}, queries of {len(here)} places held out"
-    )
+    queries = described(model, [photo for _, photo in asked], f"{city}, queries of {len(here)} places held out")
     strange = described(model, [photo for _, photo in far], "queries of other sets, held out too")
     return (
         Question(queries, [n for n, _ in asked], index, own=len(known), centred=centred),
@@ -164,9 +162,7 @@ def evaluated(model: Describer, data: Path, *, centred: bool) -> tuple[Question,
     """Queries of `sfxl-30` beside its index, and Gardens Point beside the same."""
     test = data / "sfxl-30" / "images" / "test"
     index, queries = (
-        described(
-            model, [read_photo(path) for path in sorted((test / side).glob("*.jpg"))], f"sfxl-30, {side}"
-        )
+        described(model, [read_photo(path) for path in sorted((test / side).glob("*.jpg"))], f"sfxl-30, {side}")
         for side in ("database", "queries")
     )
     paths = sorted((data / "gardens-point" / "day_right").glob("*.jpg"))
@@ -276,9 +272,7 @@ def main() -> None:
     parser.add_argument("--model", default="salad-lite", help="whatever `salad.load` takes")
     parser.add_argument("--plain", action="store_true", help="scores of descriptors as they are, not centred")
     parser.add_argument("--city", default="sfxl-240", help="a training set in GSV-Cities' layout")
-    parser.add_argument(
-        "--write", type=Path, metavar="DIR", help="a model's folder to put the calibration into"
-    )
+    parser.add_argument("--write", type=Path, metavar="DIR", help="a model's folder to put the calibration into")
     parser.add_argument("--svg", type=Path, metavar="FILE", help="draw the reliability diagram")
     asked = parser.parse_args()
     model = salad.load(asked.model)

@@ -74,9 +74,7 @@ def measured(name: str, places: Sequence[TrainingPlace]) -> None:
 
 def main() -> None:
     parser = benchmark_parser(__doc__, data=TRAIN, models=SHIPPED)
-    parser.add_argument(
-        "--sets", nargs="+", metavar="SET", help="how the names of sets begin that it never saw"
-    )
+    parser.add_argument("--sets", nargs="+", metavar="SET", help="how the names of sets begin that it never saw")
     asked = parser.parse_args()
     places, recipe = find_places(asked.data), PRESETS["salad-lite"].recipe
     if asked.sets:

@@ -51,8 +51,7 @@ def recalls(model: Describer, data: Path) -> Iterator[str]:
             read = each.read(data)
             with TemporaryDirectory() as cache:
                 plain, centred = (
-                    evaluate(read, model, ks=(1,), plain=plain, cache=Path(cache)).recall[1]
-                    for plain in (True, False)
+                    evaluate(read, model, ks=(1,), plain=plain, cache=Path(cache)).recall[1] for plain in (True, False)
                 )
             yield f"{each.name} {plain:.1f} / {centred:.1f}"
 

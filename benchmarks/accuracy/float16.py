@@ -54,9 +54,7 @@ def main() -> None:
     parser = benchmark_parser(__doc__, data=EVAL, models=["salad-lite"])
     asked = parser.parse_args()
     print(in_a_line(conditions("numpy", seed=None)))
-    print(
-        "| model | dim | set | queries | references | first answer changed | of these ties | largest change |"
-    )
+    print("| model | dim | set | queries | references | first answer changed | of these ties | largest change |")
     print("|---|---|---|---|---|---|---|---|")
     for name in asked.models:
         model = describer(name)

@@ -149,9 +149,7 @@ def main() -> None:
     parser.add_argument("train", nargs="*", help="further options of `salad train`, after --")
     asked = parser.parse_args()
     if asked.to.exists():
-        raise SystemExit(
-            f"{asked.to} is there already: choose another folder with --to, so that all is timed"
-        )
+        raise SystemExit(f"{asked.to} is there already: choose another folder with --to, so that all is timed")
     sides = (asked.eval / "images" / "test" / side for side in ("database", "queries"))
     told = curve(asked, from_radius(*sides, RADIUS, name=asked.eval.name))
     (asked.to / "curve.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")

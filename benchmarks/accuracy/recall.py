@@ -20,7 +20,7 @@ from typing import Any
 from benchmarks.accuracy.baselines import Hog, UntrainedGrid, untrained
 from benchmarks.machine import conditions
 from benchmarks.options import EVAL, SHIPPED, benchmark_parser
-from salad.cli.compare import benchmark_by_rule
+from salad.cli.compare_command import benchmark_by_rule
 from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError
 from salad.evaluation.evaluate import evaluate
@@ -115,9 +115,7 @@ def table(rows: Sequence[Row]) -> str:
     """Lay out R@1 / R@5 as a Markdown table: a line a model, a column a set."""
     results = {(name, each.name): result for name, each, result in rows}
     models, sets = list(dict.fromkeys(row[0] for row in rows)), list(dict.fromkeys(row[1] for row in rows))
-    heads = [
-        f"{each.name}, {results[models[0], each.name].protocol}, {each.viewpoint} viewpoint" for each in sets
-    ]
+    heads = [f"{each.name}, {results[models[0], each.name].protocol}, {each.viewpoint} viewpoint" for each in sets]
     lines = ["| R@1 / R@5 | " + " | ".join(heads) + " |", "|---" * (len(sets) + 1) + "|"]
     for model in models:
         recalls = [results[model, each.name].recall for each in sets]
@@ -135,9 +133,7 @@ def line(row: Row) -> str:
 def main() -> None:
     parser = benchmark_parser(__doc__, data=EVAL, models=list(DESCRIBERS))
     parser.add_argument("--json", type=Path, help="append the JSON lines here instead of printing them")
-    parser.add_argument(
-        "--plain", action="store_true", help="descriptors as they are, as papers compare them"
-    )
+    parser.add_argument("--plain", action="store_true", help="descriptors as they are, as papers compare them")
     parser.add_argument("--cache", type=Path, help="keep descriptors here, for the same models again")
     asked = parser.parse_args()
     rows = []

@@ -126,10 +126,7 @@ def page(grids: Sequence[str], runs: Path, models: Path, pictures: Path, *, befo
 def parts_of(page: str) -> dict[str, str]:
     """What stands under each heading of the third order."""
     parts = (part.partition("\n") for part in re.split(r"^### ", page, flags=re.MULTILINE)[1:])
-    return {
-        heading: re.split(r"^## ", body, flags=re.MULTILINE)[0].strip("\n") + "\n"
-        for heading, _, body in parts
-    }
+    return {heading: re.split(r"^## ", body, flags=re.MULTILINE)[0].strip("\n") + "\n" for heading, _, body in parts}
 
 
 def _repeated(folder: Path, grid: str) -> list[str]:
@@ -166,9 +163,7 @@ def shipped_section(figures: Path) -> str:
 def _set_table(rows: Sequence[Mapping[str, Any]]) -> str:
     first = rows[0]
     drawn = first["drawn"]
-    ordered = sorted(
-        rows, key=lambda one: list(NAMES).index(one["model"]) if one["model"] in NAMES else len(NAMES)
-    )
+    ordered = sorted(rows, key=lambda one: list(NAMES).index(one["model"]) if one["model"] in NAMES else len(NAMES))
     lines = [
         f"### {first['set']}: {first['protocol']}, {first['viewpoint']} viewpoint\n",
         f"{first['queries']:,} queries, {first['references']:,} references, {first['unanswerable']} unanswerable; "

@@ -69,9 +69,7 @@ def claim(row: GridRow) -> Claim:
     """What the paper says of a row of the grids: R@1, and what its first table has more of the three sizes."""
     if row in GRIDS["sizes"]:
         return first(row.name)
-    return Claim(
-        row.title, _of_grid(row), _dim(row), next((one.caveat for one in row.paper if one.caveat), "")
-    )
+    return Claim(row.title, _of_grid(row), _dim(row), next((one.caveat for one in row.paper if one.caveat), ""))
 
 
 def first(method: str) -> Claim:

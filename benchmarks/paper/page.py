@@ -131,9 +131,7 @@ class Report:
         """The page."""
         found = dict.fromkeys(one.result.protocol for one in self.figures)
         parts = ["# Ours beside the paper's", f"Paper: {SOURCE}. {LEFT_OUT}", self.verdict()]
-        parts += [
-            _section(name, [one for one in self.figures if one.result.protocol == name]) for name in found
-        ]
+        parts += [_section(name, [one for one in self.figures if one.result.protocol == name]) for name in found]
         if self.figures:
             parts.append(_models({one.model.name: one.model for one in self.figures}.values()))
         if self.missing:
@@ -147,12 +145,8 @@ class Report:
 def _section(protocol: str, figures: Sequence[Figure]) -> str:
     """One protocol's table; what its sets hold is told above it."""
     heads = ["", *(head for k in KS for head in (f"R@{k} ours", f"R@{k} paper", "difference"))]
-    rows = [
-        [_plain(one.model.claim.title), *(cell for k in KS for cell in _cells(one, k))] for one in figures
-    ]
-    right = (
-        f"right: {PROTOCOLS[protocol].rule}" if protocol in PROTOCOLS else "the paper has no figure of this"
-    )
+    rows = [[_plain(one.model.claim.title), *(cell for k in KS for cell in _cells(one, k))] for one in figures]
+    right = f"right: {PROTOCOLS[protocol].rule}" if protocol in PROTOCOLS else "the paper has no figure of this"
     sets = dict.fromkeys(_counts(one.result) for one in figures)
     asides = list(dict.fromkeys(aside for one in figures if one.paper for aside in one.model.asides))
     under = [f"\\* Not compared: {_plain('; '.join(asides))}."] if asides else []

@@ -57,9 +57,7 @@ def rows(
     found = [_sized(name, spec) for name, spec in sizes.items() if spec is not None]
     for spec in backbones:
         name = spec if spec in ZOO else Path(spec).stem
-        found.append(
-            Row(name, Claim(f"{name} as it is", {}), spec)
-        )  # the paper has no figure of a bare backbone
+        found.append(Row(name, Claim(f"{name} as it is", {}), spec))  # the paper has no figure of a bare backbone
     found += [row for folder in runs for row in _trained(folder)]
     names = [row.name for row in found]
     twice = next((name for name in names if names.count(name) > 1), None)

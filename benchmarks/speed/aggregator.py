@@ -45,9 +45,7 @@ def lean_summed(features: Tensor, plan: Tensor) -> Tensor:
 def repeated_summed(features: Tensor, plan: Tensor) -> Tensor:
     """The same with both factors repeated to the size of their product."""
     per_feature, dims, clusters = features.transpose(1, 2), features.shape[2], plan.shape[1]
-    return (per_feature.unsqueeze(2).repeat(1, 1, clusters, 1) * plan.unsqueeze(1).repeat(1, dims, 1, 1)).sum(
-        -1
-    )
+    return (per_feature.unsqueeze(2).repeat(1, 1, clusters, 1) * plan.unsqueeze(1).repeat(1, dims, 1, 1)).sum(-1)
 
 
 SUMS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
@@ -106,9 +104,7 @@ def measure(*, batch: int, rounds: int) -> dict[str, dict[str, float]]:
     features, plan = model.feature(tokens.patches), model.plan(tokens)[:, :-1].contiguous()
     return {
         "aggregator, ms": milliseconds(lambda way: aggregate(model, tokens, way), rounds=rounds),
-        "in bfloat16, ms": milliseconds(
-            lambda way: _in_bfloat16(lambda: aggregate(model, tokens, way)), rounds=rounds
-        ),
+        "in bfloat16, ms": milliseconds(lambda way: _in_bfloat16(lambda: aggregate(model, tokens, way)), rounds=rounds),
         "summing alone, ms": milliseconds(lambda way: SUMS[way](features, plan), rounds=rounds),
         "peak memory, MiB": needed,
     }

@@ -40,18 +40,14 @@ def main() -> None:
             decoded = partial(decode, height=size.height, width=size.width, resample=size.resample)
             pixels = [decoded(path) for path in paths]
             ways |= {
-                f"{model.name}: decode and squeeze": lambda _, decoded=decoded: [
-                    decoded(path) for path in paths
-                ],
+                f"{model.name}: decode and squeeze": lambda _, decoded=decoded: [decoded(path) for path in paths],
                 f"{model.name}: describe": lambda _, model=model, pixels=pixels: model.describe(pixels),
                 f"{model.name}: describe one by one": lambda _, model=model, pixels=pixels: model.describe(
                     pixels, batch_size=1
                 ),
             }
         spent = medians(turns(ways, rounds=ROUNDS))
-    told = conditions(
-        "torch", seed=SEED, threads=asked.threads, photos=f"{asked.photos} of 480 x 360", rounds=ROUNDS
-    )
+    told = conditions("torch", seed=SEED, threads=asked.threads, photos=f"{asked.photos} of 480 x 360", rounds=ROUNDS)
     print(in_a_line(told))
     for way, each in spent.items():
         print(f"{way:<45} {each / asked.photos:7.1f} ms a photo")

@@ -36,9 +36,7 @@ def main() -> None:
     parser.add_argument("-k", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1, help="of our own; numpy takes OMP_NUM_THREADS")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument(
-        "--no-numpy", action="store_true", help="leave numpy out, which takes ten times as long"
-    )
+    parser.add_argument("--no-numpy", action="store_true", help="leave numpy out, which takes ten times as long")
     given = parser.parse_args()
     print(in_a_line(conditions("numkong", "numpy", seed=SEED, **vars(given))))
     with tempfile.TemporaryDirectory() as folder:
@@ -50,9 +48,7 @@ def main() -> None:
         searcher = ExactSearcher(rows, threads=given.threads)
         began = time.perf_counter()
         searcher.search(queries[:1], k=given.k)
-        print(
-            f"first search: {1e3 * (time.perf_counter() - began):.1f} ms; memory {before / 1e6:.0f} MB before"
-        )
+        print(f"first search: {1e3 * (time.perf_counter() - began):.1f} ms; memory {before / 1e6:.0f} MB before")
         for count in given.queries:
             ways: dict[str, Callable[[int], Hits]] = {
                 "NumKong": lambda _, asked=queries[:count]: swept(searcher, rows, asked, given.k)
@@ -83,9 +79,7 @@ def plain(rows: FileRows, queries: np.ndarray, k: int) -> Hits:
     some = np.argpartition(-scores, k - 1, axis=1)[:, :k]
     found = np.take_along_axis(scores, some, axis=1)
     order = np.argsort(-found, axis=1, kind="stable")
-    return Hits(
-        np.take_along_axis(some, order, axis=1), np.take_along_axis(found, order, axis=1).astype(float)
-    )
+    return Hits(np.take_along_axis(some, order, axis=1), np.take_along_axis(found, order, axis=1).astype(float))
 
 
 def made_up(path: Path, rows: int, dim: int) -> None:

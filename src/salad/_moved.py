@@ -47,6 +47,7 @@ MOVED_NAMES = {  # by themselves, whatever the table above says of their module
     "salad.index.Match": "salad.index.index.Match",
     "salad.index.index_photos": "salad.index.build.index_photos",
     "salad.photos.MAX_PIXELS": "salad.images.decode.MAX_PIXELS",
+    "salad.photos.PhotoTable": "salad.images.photo_table.PhotoTable",
     "salad.photos.Position": "salad.images.metadata.Position",
     "salad.photos.at_name": "salad.images.metadata.at_name",
     "salad.photos.identity": "salad.images.photo.content_hash",

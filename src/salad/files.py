@@ -13,9 +13,7 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         OSError: If it cannot be written; what stood there stays, and nothing is left beside it.
     """
-    part = path.with_name(
-        f".{uuid.uuid4().hex}.part"
-    )  # on the same disk, for only there a rename is one stroke
+    part = path.with_name(f".{uuid.uuid4().hex}.part")  # on the same disk, for only there a rename is one stroke
     try:
         part.write_bytes(content)
         part.replace(path)

@@ -34,13 +34,9 @@ class GeoPoint:
 
     def __post_init__(self) -> None:
         if not -90 <= self.lat <= 90:
-            raise PositionError(
-                f"latitude {self.lat} is not between -90 and 90: check the order and the sign"
-            )
+            raise PositionError(f"latitude {self.lat} is not between -90 and 90: check the order and the sign")
         if not -180 <= self.lon <= 180:
-            raise PositionError(
-                f"longitude {self.lon} is not between -180 and 180: check the order and the sign"
-            )
+            raise PositionError(f"longitude {self.lon} is not between -180 and 180: check the order and the sign")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +71,7 @@ def metres(lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike) -
 
     The haversine formula (Sinnott 1984), which keeps its precision for points a few metres apart.
     """
-    north1, east1, north2, east2 = (
-        np.radians(np.asarray(v, dtype=np.float64)) for v in (lat1, lon1, lat2, lon2)
-    )
+    north1, east1, north2, east2 = (np.radians(np.asarray(v, dtype=np.float64)) for v in (lat1, lon1, lat2, lon2))
     half_north, half_east = (north2 - north1) / 2, (east2 - east1) / 2
     chord = np.sin(half_north) ** 2 + np.cos(north1) * np.cos(north2) * np.sin(half_east) ** 2
     apart: NDArray[np.float64] = 2 * EARTH_RADIUS_M * np.arcsin(np.sqrt(np.clip(chord, 0, 1)))
@@ -189,9 +183,7 @@ def _normalised(points: Sequence[GeoPoint], weights: Sequence[float] | None) -> 
         raise PositionError(f"{given.size} weights do not fit {len(points)} points: give one a point")
     largest = given.max()
     if not np.isfinite(given).all() or (given < 0).any() or largest == 0:
-        raise PositionError(
-            "weights of points must be finite, none negative and not all zero: check the scores"
-        )
+        raise PositionError("weights of points must be finite, none negative and not all zero: check the scores")
     scaled = given / largest  # first, so that huge weights do not overflow in the sum
     normalised: NDArray[np.float64] = scaled / scaled.sum()
     return normalised

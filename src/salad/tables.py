@@ -88,9 +88,7 @@ def read_parquet(path: Path, header: Header = list) -> Iterator[tuple[int, dict[
 
 
 @contextmanager
-def write_table(
-    path: Path, columns: Mapping[str, type]
-) -> Iterator[Callable[[Iterable[Mapping[str, Any]]], None]]:
+def write_table(path: Path, columns: Mapping[str, type]) -> Iterator[Callable[[Iterable[Mapping[str, Any]]], None]]:
     """Begin a table, Parquet where its name ends in `.parquet` and CSV else; what it gives takes rows, some at a time.
 
     Args:

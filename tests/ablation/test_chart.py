@@ -45,9 +45,7 @@ def test_the_picture_shows_every_figure_once_and_reads_in_light_and_dark(
     st.lists(st.lists(st.floats(0, 100, allow_nan=False), min_size=0, max_size=3), min_size=1, max_size=4),
     st.lists(st.floats(0, 100, allow_nan=False), max_size=4),
 )
-def test_every_mark_lies_within_the_picture(
-    figures: Sequence[Sequence[float]], paper: Sequence[float]
-) -> None:
+def test_every_mark_lies_within_the_picture(figures: Sequence[Sequence[float]], paper: Sequence[float]) -> None:
     lines = [
         ModelLine(
             f"row {number}",
@@ -76,8 +74,6 @@ def test_a_picture_of_nothing_says_so() -> None:
 @pytest.mark.parametrize("percent", [0.0, 50.0, 100.0])
 def test_one_figure_alone_has_an_axis(percent: float) -> None:
     drawn = ET.fromstring(comparison_chart([ModelLine("a", {TOWN: {1: [percent]}}, seeds=1)], "one"))
-    ticks = [
-        float(text.text) for text in drawn.iter(f"{SVG}text") if re.fullmatch(r"[\d.]+", text.text or "")
-    ]
+    ticks = [float(text.text) for text in drawn.iter(f"{SVG}text") if re.fullmatch(r"[\d.]+", text.text or "")]
     assert min(ticks) <= percent <= max(ticks)
     assert len(ticks) >= 2

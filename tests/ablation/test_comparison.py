@@ -27,8 +27,7 @@ PERCENTS = st.floats(0, 100, allow_nan=False)
 
 def line(name: str, *town: float, **paper: float | PaperFigure) -> ModelLine:
     published = {
-        protocol: one if isinstance(one, PaperFigure) else PaperFigure(protocol, one)
-        for protocol, one in paper.items()
+        protocol: one if isinstance(one, PaperFigure) else PaperFigure(protocol, one) for protocol, one in paper.items()
     }
     return ModelLine(name, {TOWN: {1: town, 5: [99.0] * len(town)}} if town else {}, published, len(town))
 

@@ -65,9 +65,7 @@ def test_the_order_is_told_set_by_set(three_models: tuple[ModelLine, ...]) -> No
 
 def test_what_cannot_be_said_is_not() -> None:
     assert markdown_table([]) == "There is no result yet."
-    alone = markdown_table(
-        [ModelLine("a", {TOWN: {1: [5.0]}}, seeds=1), ModelLine("b", {TOWN: {1: [90.0]}}, seeds=1)]
-    )
+    alone = markdown_table([ModelLine("a", {TOWN: {1: [5.0]}}, seeds=1), ModelLine("b", {TOWN: {1: [90.0]}}, seeds=1)])
     assert "of one seed" in alone
     assert "**" not in alone
     assert "paper" not in alone

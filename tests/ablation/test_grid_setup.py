@@ -66,11 +66,7 @@ def test_a_start_or_a_depth_that_cannot_be_is_a_sentence(tmp_path: Path) -> None
 def test_the_budget_is_a_small_presets() -> None:
     assert default_recipe("imagenet") == PRESETS["small"].recipe
     assert default_recipe("some.pth") == PRESETS["salad-vits"].recipe
-    assert (
-        default_recipe("some.pth", frozen=True)
-        == default_recipe("imagenet", frozen=True)
-        == PRESETS["head"].recipe
-    )
+    assert default_recipe("some.pth", frozen=True) == default_recipe("imagenet", frozen=True) == PRESETS["head"].recipe
 
 
 @pytest.mark.parametrize("grid", GRIDS)
@@ -90,9 +86,7 @@ def test_every_row_becomes_a_preset_on_the_same_terms(grid: str) -> None:
         assert (each.start, each.model.name) == ("imagenet", row.name)
         assert (each.model.backbone, each.model.preprocessing) == (lite.backbone, lite.preprocessing)
     heads = [each.model.aggregator for _, each in made]
-    assert len({str(head) for head in heads}) == (
-        1 if grid == "blocks" else len(heads) - (grid == "parts") * 2
-    )
+    assert len({str(head) for head in heads}) == (1 if grid == "blocks" else len(heads) - (grid == "parts") * 2)
 
 
 def test_a_head_without_weights_takes_its_steps_with_the_backbone() -> None:

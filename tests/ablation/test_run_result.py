@@ -95,9 +95,7 @@ def test_nothing_differs_from_itself_not_even_through_json(tree: dict[str, Any])
 def test_a_difference_names_the_setting_and_both_values() -> None:
     one = {"recipe": {"steps": 3, "mean": (1, 2)}, "seed": 0}
     assert first_difference(one, {"recipe": {"steps": 3, "mean": [1, 2]}, "seed": 0}) is None
-    assert (
-        first_difference(one, {"recipe": {"steps": 4, "mean": [1, 2]}, "seed": 1}) == "recipe.steps: 3, not 4"
-    )
+    assert first_difference(one, {"recipe": {"steps": 4, "mean": [1, 2]}, "seed": 1}) == "recipe.steps: 3, not 4"
     assert first_difference(one, {"recipe": {"steps": 3}, "seed": 0}) == "recipe.mean: [1, 2], not None"
 
 

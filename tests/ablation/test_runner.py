@@ -105,9 +105,7 @@ def result_of(to: Path, row: str, seed: int) -> RunResult:
     return found
 
 
-def test_every_row_is_trained_with_every_seed_and_measured(
-    places: list[TrainingPlace], tmp_path: Path
-) -> None:
+def test_every_row_is_trained_with_every_seed_and_measured(places: list[TrainingPlace], tmp_path: Path) -> None:
     teacher, judged = Teacher(), Judged()
     bars: list[str] = []
 
@@ -164,9 +162,7 @@ def test_a_finished_run_is_never_repeated(places: list[TrainingPlace], tmp_path:
     compared(places, tmp_path).run([GEM], seeds=[0])
     before = (tmp_path / "gem" / "seed0" / RESULT_FILE).read_bytes()
     teacher, judged = Teacher(), Judged()
-    again = compared(
-        places, tmp_path, train_model=teacher, benchmarks={"town": GridBenchmark("frames ±1", judged)}
-    )
+    again = compared(places, tmp_path, train_model=teacher, benchmarks={"town": GridBenchmark("frames ±1", judged)})
     again.run([GEM, CONV], seeds=[0])
     assert teacher.taught == [("conv-ap", 0)]
     assert judged.asked == 1
@@ -191,14 +187,10 @@ def test_a_new_set_is_measured_with_the_model_there_is(places: list[TrainingPlac
     assert (teacher.taught, first.asked, second.asked) == ([], 0, 1)
     found = result_of(tmp_path, "gem", 0)
     assert list(found.benchmarks) == ["town", "street"]
-    assert (
-        found.benchmarks["town"]["recall"]["1"] == found.benchmarks["street"]["recall"]["1"]
-    )  # the same model
+    assert found.benchmarks["town"]["recall"]["1"] == found.benchmarks["street"]["recall"]["1"]  # the same model
 
 
-def test_a_set_of_that_name_by_another_protocol_is_refused(
-    places: list[TrainingPlace], tmp_path: Path
-) -> None:
+def test_a_set_of_that_name_by_another_protocol_is_refused(places: list[TrainingPlace], tmp_path: Path) -> None:
     compared(places, tmp_path).run([GEM], seeds=[0])
     other = {"town": GridBenchmark("frames ±2", Judged("frames ±2"))}
     with pytest.raises(ModelError, match="by the protocol 'frames ±1', not 'frames ±2'"):
@@ -249,9 +241,7 @@ def test_other_places_are_another_run(places: list[TrainingPlace], tmp_path: Pat
 def test_what_cannot_be_built_stops_everything_at_once(places: list[TrainingPlace], tmp_path: Path) -> None:
     teacher = Teacher()
     with pytest.raises(SaladError):  # 64 tokens are no more than 64 clusters
-        compared(places, tmp_path, train_model=teacher).run(
-            [GEM, GridRow("salad", "SALAD", blocks=1)], seeds=[0]
-        )
+        compared(places, tmp_path, train_model=teacher).run([GEM, GridRow("salad", "SALAD", blocks=1)], seeds=[0])
     assert teacher.taught == []
 
 
@@ -281,9 +271,7 @@ def test_the_time_left_is_told(places: list[TrainingPlace], tmp_path: Path) -> N
 
 
 def test_data_are_known_by_names_wherever_they_lie(places: list[TrainingPlace], tmp_path: Path) -> None:
-    moved = [
-        replace(place, photos=tuple(tmp_path / photo.name for photo in place.photos)) for place in places
-    ]
+    moved = [replace(place, photos=tuple(tmp_path / photo.name for photo in place.photos)) for place in places]
     assert data_summary(moved[::-1]) == data_summary(places)
     assert data_summary(places[:5])["digest"] != data_summary(places)["digest"]
     assert data_summary(places)["cities"] == {"set": 6}

@@ -42,9 +42,7 @@ def ask_for_help(module: str) -> None:
 
 
 @pytest.mark.parametrize("module", RUN)
-def test_help_is_the_docstring_which_says_how_it_is_run(
-    module: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_is_the_docstring_which_says_how_it_is_run(module: str, capsys: pytest.CaptureFixture[str]) -> None:
     ask_for_help(module)
     said = capsys.readouterr().out
     run = "bash scripts/reproduce-paper" if module == "benchmarks.paper.reproduce" else f"python -m {module}"

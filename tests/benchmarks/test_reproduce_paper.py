@@ -107,9 +107,7 @@ class Ran:
     err: str
 
     def of(self, name: str, protocol: str) -> dict[str, Any]:
-        (found,) = (
-            one for one in self.figures if (one["name"], one["result"]["protocol"]) == (name, protocol)
-        )
+        (found,) = (one for one in self.figures if (one["name"], one["result"]["protocol"]) == (name, protocol))
         return found
 
 
@@ -128,9 +126,7 @@ def reproduce(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         capsys.readouterr()
         code = reproduce_paper.main([*map(str, arguments), "--to", str(to)], load=load)
         written = (to / "reproduction.json").is_file()
-        told = (
-            json.loads((to / "reproduction.json").read_text()) if written else {"figures": [], "missing": []}
-        )
+        told = json.loads((to / "reproduction.json").read_text()) if written else {"figures": [], "missing": []}
         page = (to / "reproduction.md").read_text() if written else ""
         return Ran(code, page, told["figures"], told["missing"], *capsys.readouterr())
 
@@ -207,9 +203,7 @@ class TestPage:
         assert "Nothing that ran has a figure" in text
 
 
-def figure(
-    protocol: str, percent: float, claimed: Any, *, title: str = "m", unlike: tuple[str, ...] = ()
-) -> Figure:
+def figure(protocol: str, percent: float, claimed: Any, *, title: str = "m", unlike: tuple[str, ...] = ()) -> Figure:
     from salad.evaluation.bootstrap import Interval
     from salad.evaluation.result import Result
 
@@ -233,9 +227,7 @@ class TestRun:
         for name, (references, queries) in COUNTS.items():
             one = ran.of("full", name)
             assert (one["result"]["references"], one["result"]["queries"]) == (references, queries)
-            assert one["result"]["recall"]["1"] == (
-                100.0 if name != "msls-val-740" else pytest.approx(0, abs=70)
-            )
+            assert one["result"]["recall"]["1"] == (100.0 if name != "msls-val-740" else pytest.approx(0, abs=70))
             assert set(one["paper"]) == {"1", "5"}
             assert ran.of("dinov2-vitb14", name)["paper"] == {}
         sped = ran.of("full", "sped")
@@ -262,9 +254,7 @@ class TestRun:
             assert part in ran.page
         assert "arXiv 2311.15937" in told["paper"]
 
-    def test_within_a_point_leaves_with_0(
-        self, data: Path, reproduce: Run, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_within_a_point_leaves_with_0(self, data: Path, reproduce: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         claim = figures.Claim("full", {"sped": {1: 99.0, 5: 100.0}}, 8448)
         monkeypatch.setattr(rows, "first", lambda _: claim)
         ran = reproduce("--sped", data / "SPED", "--only", "full")
@@ -289,9 +279,7 @@ class TestRun:
         assert "## Not run" in ran.page
 
     def test_a_folder_that_is_itself_a_set(self, data: Path, reproduce: Run) -> None:
-        assert [one["result"]["protocol"] for one in reproduce(data / "SPED", "--only", "full").figures] == [
-            "sped"
-        ]
+        assert [one["result"]["protocol"] for one in reproduce(data / "SPED", "--only", "full").figures] == ["sped"]
         with pytest.raises(BenchmarkError, match="cannot be read"):
             sets.find_set("sped", data / "absent")
 
@@ -303,9 +291,7 @@ class TestRun:
         assert (one["result"]["protocol"], one["paper"]) == ("sped (5 references, 4 queries)", {})
         assert "Nothing that ran has a figure" in ran.page
 
-    def test_a_model_that_cannot_be_fetched_and_a_photo_that_cannot_be_read(
-        self, data: Path, reproduce: Run
-    ) -> None:
+    def test_a_model_that_cannot_be_fetched_and_a_photo_that_cannot_be_read(self, data: Path, reproduce: Run) -> None:
         def made(spec: str) -> Any:
             if spec == "dinov2-salad":
                 raise FetchError("could not fetch it: no network")
@@ -327,17 +313,13 @@ class TestRun:
         assert (ran.code, ran.figures) == (2, [])
         assert "no model could be run" in ran.err
 
-    def test_an_interrupted_run_goes_on(
-        self, data: Path, reproduce: Run, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_an_interrupted_run_goes_on(self, data: Path, reproduce: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(descriptors, "_PHOTOS", 4)
         first, second, third = model(stop=12), model(), model()
         only = (data, "--only", "full", "--batch-size", 4)
         cut = reproduce(*only, made=first)
         assert cut.code == 130
-        assert {one["result"]["protocol"] for one in cut.figures} == {
-            "msls-val-740"
-        }  # what there was is written
+        assert {one["result"]["protocol"] for one in cut.figures} == {"msls-val-740"}  # what there was is written
         assert "goes on where it stopped" in cut.err
         whole = reproduce(*only, made=second)
         assert len(whole.figures) == 4
@@ -347,9 +329,7 @@ class TestRun:
         recalls = [[one["result"]["recall"] for one in ran.figures] for ran in (whole, again)]
         assert recalls[0] == recalls[1]
         plain = evaluate(read("nordland-1f", data / "Nordland"), model())
-        assert whole.of("full", "nordland-1f")["result"]["recall"] == {
-            str(k): r for k, r in plain.recall.items()
-        }
+        assert whole.of("full", "nordland-1f")["result"]["recall"] == {str(k): r for k, r in plain.recall.items()}
 
 
 class TestRows:
@@ -470,9 +450,7 @@ class TestBadInput:
             (("{data}", "--batch-size", "0"), "give 1 or more"),
         ],
     )
-    def test_is_refused_in_a_sentence(
-        self, data: Path, reproduce: Run, arguments: tuple[str, ...], said: str
-    ) -> None:
+    def test_is_refused_in_a_sentence(self, data: Path, reproduce: Run, arguments: tuple[str, ...], said: str) -> None:
         ran = reproduce(*(one.format(data=data) for one in arguments))
         assert (ran.code, ran.figures) == (2, [])
         assert said in ran.err
@@ -511,9 +489,7 @@ def test_the_script_takes_folders_from_where_one_is(tmp_path: Path) -> None:
     for folder in (root / "scripts", root / "bin", here):
         folder.mkdir(parents=True)
     shutil.copy(ROOT / "scripts" / "reproduce-paper", root / "scripts")
-    (root / "scripts" / "env").write_text(
-        'cd "$(dirname "${BASH_SOURCE[0]}")/.."\nexport PATH="$PWD/bin:$PATH"\n'
-    )
+    (root / "scripts" / "env").write_text('cd "$(dirname "${BASH_SOURCE[0]}")/.."\nexport PATH="$PWD/bin:$PATH"\n')
     (root / "bin" / "python").write_text('#!/bin/sh\npwd\nprintf "%s\\n" "$PYTHONPATH" "$@"\nexit 7\n')
     (root / "bin" / "python").chmod(0o755)
     command = ["bash", "../a checkout/scripts/reproduce-paper", "my sets", "--only", "full"]

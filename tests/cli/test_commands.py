@@ -82,9 +82,7 @@ def test_index_names_the_unreadable_and_takes_the_others(
     assert "1 photos added, 0 there already, 1 unreadable" in ran.err
 
 
-def test_index_without_a_readable_photo_is_bad_input(
-    cli: Any, asked: Any, broken: Path, tmp_path: Path
-) -> None:
+def test_index_without_a_readable_photo_is_bad_input(cli: Any, asked: Any, broken: Path, tmp_path: Path) -> None:
     assert cli("index", broken, "--to", tmp_path / "index").code == 2
 
 
@@ -264,9 +262,7 @@ def test_what_is_no_index_is_refused(cli: Any, photos: Any, tmp_path: Path, aske
 
 
 def test_another_model_is_refused(cli: Any, city: Path, photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "salad.models.model_folder.load", lambda *_, **__: FakeDescriber(dim=256, name="other", seed=1)
-    )
+    monkeypatch.setattr("salad.models.model_folder.load", lambda *_, **__: FakeDescriber(dim=256, name="other", seed=1))
     for command in (
         ("locate", photos.query[0], "--index", city, "--model", "other"),
         ("index", photos.query[0], "--to", city, "--model", "other"),
@@ -278,9 +274,7 @@ def test_another_model_is_refused(cli: Any, city: Path, photos: Any, monkeypatch
         assert len(index) == 6
 
 
-def test_the_model_is_the_one_named_else_the_index_s_own(
-    cli: Any, city: Path, photos: Any, asked: Any
-) -> None:
+def test_the_model_is_the_one_named_else_the_index_s_own(cli: Any, city: Path, photos: Any, asked: Any) -> None:
     cli("locate", photos.query[0], "--index", city)
     cli("index", photos.query[0], "--to", city)
     cli("index", photos.query[0], "--to", city, "--model", "here/or there")
@@ -328,9 +322,7 @@ def test_info_for_people_has_the_same_facts(cli: Any, city: Path) -> None:
     units |= {"bytes": "MB", "bytes_of_descriptors": "MB of descriptors"}
     assert named == [units.get(name, name.replace("_", " ")) for name in told]
     assert lines[0].split() == ["photos", "6"]
-    assert (
-        len({len(line) - len(line.split("  ")[-1].lstrip()) for line in lines}) == 1
-    )  # one column of values
+    assert len({len(line) - len(line.split("  ")[-1].lstrip()) for line in lines}) == 1  # one column of values
 
 
 def test_verify_tells_sound_from_damaged(cli: Any, city: Path) -> None:
@@ -391,9 +383,7 @@ def test_evaluate_by_frames(cli: Any, asked: Any, sides: list[Any]) -> None:
     ran = cli(*sides, "--frames", 0, "--format", "json")
     assert (ran.code, ran.err) == (0, "")
     told = ran.json()
-    assert list(told)[:7] == [
-        *("protocol", "queries", "references", "unanswerable", "recall", "model", "seconds")
-    ]
+    assert list(told)[:7] == [*("protocol", "queries", "references", "unanswerable", "recall", "model", "seconds")]
     assert told["recall"] == {"1": 100.0, "5": 100.0, "10": 100.0, "20": 100.0}
     assert (told["queries"], told["references"], told["unanswerable"]) == (6, 6, 0)
     assert told["seconds"] >= 0
@@ -442,9 +432,7 @@ def test_evaluate_for_people(cli: Any, asked: Any, sides: list[Any]) -> None:
         (["--radius", 25], ""),  # the queries carry no geotags
     ],
 )
-def test_evaluate_takes_one_good_rule(
-    cli: Any, asked: Any, sides: list[Any], rule: list[Any], named: str
-) -> None:
+def test_evaluate_takes_one_good_rule(cli: Any, asked: Any, sides: list[Any], rule: list[Any], named: str) -> None:
     assert named in one_sentence(cli(*sides, *rule))
     assert asked == []  # before a model is loaded
 
@@ -461,9 +449,7 @@ def test_evaluate_refuses_a_set_with_holes(cli: Any, asked: Any, photos: Any, br
 def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
     from salad.training.recipe import PRESETS, Preset, Recipe
 
-    recipe = Recipe(
-        tuned_blocks=1, places=2, views=2, warmup=1, measure_every=1, precision="32-true", held_out=0.5
-    )
+    recipe = Recipe(tuned_blocks=1, places=2, views=2, warmup=1, measure_every=1, precision="32-true", held_out=0.5)
     monkeypatch.setitem(PRESETS, "tiny", Preset(TINY, "", recipe))
 
 
@@ -539,9 +525,7 @@ def model_folder(tmp_path: Path) -> Path:
     return write_folder(build(TINY), tmp_path / "models" / "my tiny")
 
 
-def test_the_whole_road_with_a_model_folder(
-    cli: Any, photos: Any, model_folder: Path, tmp_path: Path
-) -> None:
+def test_the_whole_road_with_a_model_folder(cli: Any, photos: Any, model_folder: Path, tmp_path: Path) -> None:
     city = tmp_path / "city.index"
     assert cli("index", photos.reference[0], "--to", city, "--model", model_folder).code == 0
     ran = cli("locate", photos.query[0], "--index", city, "--model", model_folder, "--format", "json")
@@ -553,9 +537,7 @@ def test_the_whole_road_with_a_model_folder(
     assert ran.json()["recall"]["10"] == 100.0
 
 
-def test_a_model_folder_has_to_be_named_again(
-    cli: Any, photos: Any, model_folder: Path, tmp_path: Path
-) -> None:
+def test_a_model_folder_has_to_be_named_again(cli: Any, photos: Any, model_folder: Path, tmp_path: Path) -> None:
     city = tmp_path / "city.index"
     cli("index", photos.reference[0], "--to", city, "--model", model_folder)
     for command in (
@@ -567,9 +549,7 @@ def test_a_model_folder_has_to_be_named_again(
         assert "--model" in sentence
 
 
-def test_a_device_that_is_not_here_is_refused(
-    cli: Any, photos: Any, model_folder: Path, tmp_path: Path
-) -> None:
+def test_a_device_that_is_not_here_is_refused(cli: Any, photos: Any, model_folder: Path, tmp_path: Path) -> None:
     command = ("index", photos.reference[0], "--to", tmp_path / "index", "--model", model_folder)
     assert "warp" in one_sentence(cli(*command, "--device", "warp"))
     assert not (tmp_path / "index").exists()

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 import salad
-from salad.cli import locate
+from salad.cli import locate_command
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
 
@@ -33,9 +33,7 @@ NAMES = [
 def answer(name: str, where: GeoPoint | None = HERE, *, radius_m: float = 25.0) -> salad.Answer:
     """A photo whose best match stands at `where`; unknown where that is None."""
     photo = (
-        Photo(Path("/photos") / name, where, 90.0, datetime(2024, 5, 1, 12))
-        if where
-        else Photo(Path("/photos") / name)
+        Photo(Path("/photos") / name, where, 90.0, datetime(2024, 5, 1, 12)) if where else Photo(Path("/photos") / name)
     )
     place = salad.Place(where, radius_m, 0.75, 1) if where else None
     return salad.Answer(Path("queries") / name, place, [salad.Match(photo, 0.9, 0)])
@@ -48,12 +46,10 @@ quick = settings(deadline=None, max_examples=40)
 
 
 @quick
-@given(
-    names=st.lists(st.text(st.characters(exclude_characters="/\0\r", exclude_categories=("Cs",)), min_size=1))
-)
+@given(names=st.lists(st.text(st.characters(exclude_characters="/\0\r", exclude_categories=("Cs",)), min_size=1)))
 def test_csv_parses_back(names: list[str]) -> None:
     answers = [answer(name, HERE if number % 2 else None) for number, name in enumerate(names)]
-    rows = list(csv.DictReader(io.StringIO(locate.as_csv(answers), newline="")))
+    rows = list(csv.DictReader(io.StringIO(locate_command.as_csv(answers), newline="")))
     assert [row["query"] for row in rows] == [str(one.query) for one in answers]
     assert [row["best_match"] for row in rows] == [str(one.matches[0].photo.path) for one in answers]
     for row, one in zip(rows, answers, strict=True):
@@ -65,19 +61,19 @@ def test_csv_parses_back(names: list[str]) -> None:
 
 
 def test_csv_without_a_match_leaves_it_empty() -> None:
-    (row,) = csv.DictReader(io.StringIO(locate.as_csv([salad.Answer(Path("a.jpg"), None, [])])))
+    (row,) = csv.DictReader(io.StringIO(locate_command.as_csv([salad.Answer(Path("a.jpg"), None, [])])))
     assert list(row.values()) == ["a.jpg", *[""] * 7]
 
 
 def test_json_keeps_names_readable() -> None:
-    text = locate.as_json([answer(name) for name in NAMES])
+    text = locate_command.as_json([answer(name) for name in NAMES])
     assert [one["query"] for one in json.loads(text)] == [str(Path("queries") / name) for name in NAMES]
     assert "東京" in text
     assert "شارع" in text
 
 
 def test_json_of_an_unknown_place_is_null() -> None:
-    (told,) = json.loads(locate.as_json([answer("a.jpg", None)]))
+    (told,) = json.loads(locate_command.as_json([answer("a.jpg", None)]))
     assert told["place"] is None
     assert [told["matches"][0][key] for key in ("lat", "lon", "heading", "time")] == [None] * 4
 
@@ -87,7 +83,7 @@ def test_json_of_an_unknown_place_is_null() -> None:
 
 def drawn(answers: list[Any], width: int = 300) -> str:
     console = Console(width=width, file=io.StringIO(), force_terminal=False)
-    console.print(locate.as_table(answers))
+    console.print(locate_command.as_table(answers))
     return console.file.getvalue()
 
 

@@ -105,9 +105,7 @@ def test_main_reads_the_process_s_arguments(
     assert capsys.readouterr().out == f"salad {__version__}\n"
 
 
-def test_an_interrupt_is_no_traceback(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupt_is_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
@@ -157,9 +155,7 @@ def test_a_name_that_is_no_text_passes_through(tmp_path: Path) -> None:
 
 
 def test_a_list_on_stdin_may_hold_any_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    given = io.TextIOWrapper(
-        io.BytesIO("東京 1.jpg\r\n\n b .jpg\n".encode() + b"\xff.jpg\nlast.jpg"), encoding="ascii"
-    )
+    given = io.TextIOWrapper(io.BytesIO("東京 1.jpg\r\n\n b .jpg\n".encode() + b"\xff.jpg\nlast.jpg"), encoding="ascii")
     monkeypatch.setattr(sys, "stdin", given)
     terminal.settle_streams()
     assert list(terminal.expand_stdin(["first.jpg", "-", "end"])) == [
@@ -214,9 +210,7 @@ def test_a_name_cannot_break_the_line_or_command_the_terminal(capsys: pytest.Cap
     assert capsys.readouterr().err == "a\\nb\\x1b[2J\\u2028 東京 é.jpg is empty\n"
 
 
-@pytest.mark.parametrize(
-    ("many", "lines", "last"), [(0, 0, ""), (20, 20, "19"), (1000, 21, "and 980 more are gone")]
-)
+@pytest.mark.parametrize(("many", "lines", "last"), [(0, 0, ""), (20, 20, "19"), (1000, 21, "and 980 more are gone")])
 def test_a_million_sentences_are_not_said_one_by_one(many: int, lines: int, last: str) -> None:
     said = terminal.first_few([str(number) for number in range(many)], what="are gone")
     assert (len(said), said[-1] if said else "") == (lines, last)

@@ -68,9 +68,7 @@ def at_points(folder: Path, points: Iterable[GeoPoint], headings: Iterable[float
     """Whole `@` names anywhere on earth."""
     points = list(points)
     turns = list(headings) if headings is not None else [None] * len(points)
-    named = (
-        at_name(p, heading=h, note=str(row)) for row, (p, h) in enumerate(zip(points, turns, strict=True))
-    )
+    named = (at_name(p, heading=h, note=str(row)) for row, (p, h) in enumerate(zip(points, turns, strict=True)))
     return touch(folder, named)
 
 
@@ -194,9 +192,7 @@ def views(count: int, folder: str = "") -> list[str]:
     return [f"{folder}{row // 2 // 4:03d}/{row // 2:06d}_pitch1_yaw{row % 2 + 1}.jpg" for row in range(count)]
 
 
-def npz(
-    root: Path, stem: str, references: Sequence[float], queries: Sequence[float], metres: float = 25.0
-) -> Path:
+def npz(root: Path, stem: str, references: Sequence[float], queries: Sequence[float], metres: float = 25.0) -> Path:
     """Metres and two lists of names."""
     theirs, ours = views(len(references)), views(len(queries), "queries_real/")
     touch(root, [*theirs, *ours])

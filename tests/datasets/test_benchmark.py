@@ -54,9 +54,7 @@ def named(benchmark: Benchmark) -> dict[str, set[str]]:
 
 class TestTruth:
     def test_names_paths_and_unanswerable(self, tmp_path: Path, refs: Path, asked: Path) -> None:
-        csv = truth(
-            tmp_path, "note,query,positives\nfine,z.jpg, b.jpg ; c.jpg;\n,x.jpg,\n,./y.jpg,a.jpg;a.jpg\n"
-        )
+        csv = truth(tmp_path, "note,query,positives\nfine,z.jpg, b.jpg ; c.jpg;\n,x.jpg,\n,./y.jpg,a.jpg;a.jpg\n")
         made = from_truth(refs, asked, csv)
         assert named(made) == {"z.jpg": {"b.jpg", "c.jpg"}, "x.jpg": set(), "y.jpg": {"a.jpg"}}
         assert [photo.path.name for photo in made.queries] == ["z.jpg", "x.jpg", "y.jpg"]
@@ -193,9 +191,7 @@ class TestRadius:
         placed, nowhere = at_photos(tmp_path / "r", [HERE]), tmp_path / "n"
         nowhere.mkdir()
         Image.new("RGB", (8, 8)).save(nowhere / "lost.jpg")
-        with pytest.raises(
-            BenchmarkError, match=r"1 of 1 query photos have no position, the first .*lost\.jpg"
-        ):
+        with pytest.raises(BenchmarkError, match=r"1 of 1 query photos have no position, the first .*lost\.jpg"):
             from_radius(placed, nowhere, 25)
         with pytest.raises(BenchmarkError, match="1 of 1 reference photos have no position"):
             from_radius(nowhere, placed, 25)
@@ -231,9 +227,7 @@ def test_a_missing_folder_is_named(refs: Path, tmp_path: Path) -> None:
         from_frames(refs, tmp_path / "absent", 1)
 
 
-def test_a_set_on_two_drives_is_named_after_its_references(
-    monkeypatch: pytest.MonkeyPatch, refs: Path
-) -> None:
+def test_a_set_on_two_drives_is_named_after_its_references(monkeypatch: pytest.MonkeyPatch, refs: Path) -> None:
     def apart(_: object) -> str:
         raise ValueError("paths on different drives")
 

@@ -47,11 +47,7 @@ def names(found: Clustering) -> list[set[str]]:
 def test_photos_of_one_spot_and_view_are_a_place() -> None:
     here = middle_of_a_square(HOME)
     there = middle_of_a_square(shifted(HOME, 500, 0))
-    photos = (
-        spot("a", here, *[None] * 5)
-        + spot("b", there, *[None] * 4)
-        + spot("c", shifted(here, 900, 0), None, None)
-    )
+    photos = spot("a", here, *[None] * 5) + spot("b", there, *[None] * 4) + spot("c", shifted(here, 900, 0), None, None)
     found = find_cells(photos)
     assert names(found) == [{"a"}, {"b"}]
     assert found.as_dict() == {
@@ -152,9 +148,7 @@ def test_unreadable_photos_are_left_out_before_anybody_counts() -> None:
 def test_cities_are_what_hangs_together() -> None:
     town = [middle_of_a_square(shifted(HOME, 8000.0 * step, 0)) for step in range(5)]
     far = middle_of_a_square(shifted(HOME, 0, 90_000))
-    photos = [
-        photo for number, where in enumerate([*town, far]) for photo in spot(f"{number}", where, *[None] * 4)
-    ]
+    photos = [photo for number, where in enumerate([*town, far]) for photo in spot(f"{number}", where, *[None] * 4)]
     found = find_cells(photos)
     cities = Counter(place.city for place in found.places)
     assert sorted(cities.values()) == [1, 5]

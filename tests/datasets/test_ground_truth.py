@@ -43,18 +43,12 @@ headings = st.lists(st.integers(0, 359), min_size=1, max_size=8)
 
 
 @given(ours=headings, theirs=headings, tolerance=st.integers(0, 180), seed=st.integers(0, 99))
-def test_looking_alike_against_every_pair(
-    ours: list[int], theirs: list[int], tolerance: int, seed: int
-) -> None:
+def test_looking_alike_against_every_pair(ours: list[int], theirs: list[int], tolerance: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     near = [np.flatnonzero(rng.random(len(theirs)) < 0.7) for _ in ours]
-    sides = [
-        [Photo(Path(f"{row}.jpg"), heading=float(h)) for row, h in enumerate(side)] for side in (ours, theirs)
-    ]
+    sides = [[Photo(Path(f"{row}.jpg"), heading=float(h)) for row, h in enumerate(side)] for side in (ours, theirs)]
     alike = looking_alike(sides[0], sides[1], Ragged.of(near), tolerance)
     for heading, rows, kept in zip(ours, near, alike, strict=True):
         turns = [(theirs[row] - heading) % 360 for row in rows]
-        right = [
-            row for row, turn in zip(rows.tolist(), turns, strict=True) if min(turn, 360 - turn) <= tolerance
-        ]
+        right = [row for row, turn in zip(rows.tolist(), turns, strict=True) if min(turn, 360 - turn) <= tolerance]
         assert kept.tolist() == right

@@ -182,9 +182,7 @@ offsets = st.tuples(st.floats(-300, 300), st.floats(-300, 300))
 
 
 @settings(max_examples=80)
-@given(
-    st.sampled_from(HOMES), st.lists(offsets, min_size=1, max_size=25), st.sampled_from([5.0, 40.0, 100.0])
-)
+@given(st.sampled_from(HOMES), st.lists(offsets, min_size=1, max_size=25), st.sampled_from([5.0, 40.0, 100.0]))
 def test_neighbours_are_all_those_nearer_than_asked(
     home: GeoPoint, moves: list[tuple[float, float]], apart_m: float
 ) -> None:

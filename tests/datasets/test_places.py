@@ -16,7 +16,8 @@ from salad.datasets.places import COLUMNS, find_places, split, write_places
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between
-from salad.images.photo import Photo, PhotoTable
+from salad.images.photo import Photo
+from salad.images.photo_table import PhotoTable
 
 
 def _folders(root: Path, photos: dict[str, int]) -> Path:
@@ -42,9 +43,7 @@ def _table(root: Path, photos: int = 4) -> Path:
     root.mkdir(parents=True)
     for number in range(photos):
         (root / f"{number}.jpg").touch()
-    (root / "places.csv").write_text(
-        "path,place\n" + "".join(f"{number}.jpg,here\n" for number in range(photos))
-    )
+    (root / "places.csv").write_text("path,place\n" + "".join(f"{number}.jpg,here\n" for number in range(photos)))
     return root
 
 
@@ -116,9 +115,7 @@ def test_the_real_folders_have_places(shared: Path) -> None:
     st.floats(0, 1),
     st.integers(0, 99),
 )
-def test_a_split_parts_every_city_and_loses_nobody(
-    cities: dict[str, int], held_out: float, seed: int
-) -> None:
+def test_a_split_parts_every_city_and_loses_nobody(cities: dict[str, int], held_out: float, seed: int) -> None:
     places = _made(cities)
     learn, choose = split(places, held_out=held_out, seed=seed)
     assert sorted(learn + choose, key=places.index) == places
@@ -173,9 +170,7 @@ def test_it_is_a_table_of_photos_too(tmp_path: Path) -> None:
     paths = photos_in(tmp_path, ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
     when = datetime(2020, 1, 2, 3, 4, 5)
     where = GeoPoint(1.0, 2.0)
-    write_places(
-        [Cell("p", "x", tuple(Photo(path, where, 90.0, when) for path in paths), where)], tmp_path / "t.csv"
-    )
+    write_places([Cell("p", "x", tuple(Photo(path, where, 90.0, when) for path in paths), where)], tmp_path / "t.csv")
     told = PhotoTable.read(tmp_path / "t.csv").get(paths[2])
     assert told is not None
     assert (told.where, told.heading, told.time) == (where, 90.0, when)
@@ -183,9 +178,7 @@ def test_it_is_a_table_of_photos_too(tmp_path: Path) -> None:
 
 def test_a_table_by_hand_needs_little(tmp_path: Path) -> None:
     photos_in(tmp_path, [f"{number}.jpg" for number in range(9)])
-    lines = [
-        f" {number}.jpg , {'here' if number < 5 else 'there'} ,{2030 - number}-01-01" for number in range(9)
-    ]
+    lines = [f" {number}.jpg , {'here' if number < 5 else 'there'} ,{2030 - number}-01-01" for number in range(9)]
     table = tmp_path / "mine.csv"
     table.write_text("\ufeffpath,place,time\n" + "\n".join(lines) + "\n", encoding="utf-8")
     here, there = find_places(table)
@@ -204,9 +197,7 @@ def test_photos_that_are_gone_are_told(tmp_path: Path) -> None:
     photos_in(tmp_path, [f"{number}.jpg" for number in range(4)])
     table = tmp_path / "places.csv"
     table.write_text("path,place\n" + "".join(f"{number}.jpg,here\n" for number in range(6)))
-    with pytest.raises(
-        BenchmarkError, match=r"places\.csv names 4\.jpg, which is not in .* \(nor are 1 more\): fetch"
-    ):
+    with pytest.raises(BenchmarkError, match=r"places\.csv names 4\.jpg, which is not in .* \(nor are 1 more\): fetch"):
         find_places(table)
     said: list[str] = []
     (place,) = find_places(table, say=said.append)

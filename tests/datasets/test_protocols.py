@@ -29,7 +29,7 @@ from salad.datasets.readers.base import (
 )
 from salad.errors import BenchmarkError, PhotoError
 from salad.geo import GeoPoint
-from salad.images.photo import PhotoTable
+from salad.images.photo_table import PhotoTable
 
 
 def specified(shared: Path) -> dict[str, tuple[int | None, int | None]]:
@@ -43,10 +43,7 @@ def specified(shared: Path) -> dict[str, tuple[int | None, int | None]]:
         if "`" not in names:
             continue
         sides = [
-            [
-                int(n.replace(",", "")) if "million" not in cell else None
-                for n in re.findall(r"\d[\d,]*", cell)
-            ]
+            [int(n.replace(",", "")) if "million" not in cell else None for n in re.findall(r"\d[\d,]*", cell)]
             for cell in cells[:2]
         ]
         references, queries = (
@@ -63,9 +60,7 @@ def test_every_row_of_the_specification(shared: Path) -> None:
     assert len(rows) == 18
     for name, (references, queries) in rows.items():
         matching = [
-            p
-            for p in PROTOCOLS.values()
-            if p.name == name or (name.endswith("*") and p.name.startswith(name[:-1]))
+            p for p in PROTOCOLS.values() if p.name == name or (name.endswith("*") and p.name.startswith(name[:-1]))
         ]
         assert matching, name
         for protocol in matching:
@@ -176,11 +171,7 @@ class TestOwn:
         root = shared / "data" / "eval" / "sfxl-30"
         ours = read("st-lucia", root)
         theirs = read("folder", root / "images" / "test")
-        named = [
-            {made.references[row].path.name for row in rows}
-            for made in (ours, theirs)
-            for rows in made.positives
-        ]
+        named = [{made.references[row].path.name for row in rows} for made in (ours, theirs) for rows in made.positives]
         pairs = list(zip(named[:60], named[60:], strict=True))
         assert sum(len(a ^ b) for a, b in pairs) <= 0.01 * sum(len(a) for a, _ in pairs)
 
@@ -189,12 +180,10 @@ class TestOwn:
         refs = fakes.at_points(tmp_path / "r", [here] * 3, [355.0, 40.0, 180.0])
         asked = fakes.at_points(tmp_path / "q", [here], [10.0])
         turned = {
-            made.protocol: made
-            for made in (read("folder", refs, queries=asked, heading=h) for h in (15, 30, 180))
+            made.protocol: made for made in (read("folder", refs, queries=asked, heading=h) for h in (15, 30, 180))
         }
         looks = {
-            protocol: {made.references[row].heading for row in made.positives[0]}
-            for protocol, made in turned.items()
+            protocol: {made.references[row].heading for row in made.positives[0]} for protocol, made in turned.items()
         }
         assert looks == {
             "radius 25 m, heading ±15°": {355.0},
@@ -218,7 +207,7 @@ class TestOwn:
         def opened(*_: object) -> None:
             raise AssertionError("a photo was opened")
 
-        monkeypatch.setattr("salad.datasets.benchmark.read_photo", opened)
+        monkeypatch.setattr("salad.images.photo.read_photo", opened)
         made = from_radius(refs, plain, 25, table=PhotoTable.read(tmp_path / "t.csv"))
         assert [rows.tolist() for rows in made.positives] == [[0]]
         with pytest.raises(AssertionError, match="opened"):
@@ -232,8 +221,7 @@ class TestOwn:
 class TestRules:
     def test_in_words(self) -> None:
         said = {
-            str(rule)
-            for rule in (Radius(25), Frames(2), EveryNth(10, 1), EveryNth(1, 0), SameName(), OwnTable("gt"))
+            str(rule) for rule in (Radius(25), Frames(2), EveryNth(10, 1), EveryNth(1, 0), SameName(), OwnTable("gt"))
         }
         assert said == {
             "within 25 m (UTM)",
@@ -259,18 +247,14 @@ class TestRules:
             assert ours == list(range(ours[0], ours[0] + len(ours)))
             return
         for frame, rows in zip(ours, found, strict=True):
-            assert rows.tolist() == [
-                row for row, other in enumerate(theirs) if abs(other - frame) <= tolerance
-            ]
+            assert rows.tolist() == [row for row, other in enumerate(theirs) if abs(other - frame) <= tolerance]
 
     @given(queries=st.integers(1, 9), step=st.integers(1, 5), tolerance=st.integers(0, 3))
     def test_every_nth_by_its_definition(self, queries: int, step: int, tolerance: int) -> None:
         ours, theirs = (PhotoList(Path("x"), ["a.jpg"] * count) for count in (queries, queries * step))
         found = right_by(EveryNth(step, tolerance), Sides(theirs, ours))
         for query, rows in enumerate(found):
-            assert rows.tolist() == [
-                row for row in range(queries * step) if abs(row - step * query) <= tolerance
-            ]
+            assert rows.tolist() == [row for row in range(queries * step) if abs(row - step * query) <= tolerance]
 
     def test_pairs_by_their_names(self) -> None:
         ours = PhotoList(Path("x"), ["1.jpg", "b/2.jpg", "3.jpg"])

@@ -33,9 +33,7 @@ class TestAtNames:
     @pytest.mark.parametrize("split", ["images/test", "test", "processed/test", ""])
     @pytest.mark.parametrize("zone", ["17@T", "@"])
     def test_a_street(self, tmp_path: Path, fakes: ModuleType, split: str, zone: str) -> None:
-        made = read(
-            "pitts30k-test", fakes.at_names(tmp_path, REFS, ASKED, split=split, zone=zone), any_size=True
-        )
+        made = read("pitts30k-test", fakes.at_names(tmp_path, REFS, ASKED, split=split, zone=zone), any_size=True)
         assert rows(made) == RIGHT
         assert made.protocol == "pitts30k-test (6 references, 4 queries)"
         assert (made.unanswerable, made.unanswerable_rule, made.counted) == (1, "miss", 4)
@@ -67,9 +65,7 @@ class TestAtNames:
             ("tokyo247", ("database", "queries")),
         ],
     )
-    def test_each_sets_folders(
-        self, tmp_path: Path, fakes: ModuleType, protocol: str, sides: tuple[str, str]
-    ) -> None:
+    def test_each_sets_folders(self, tmp_path: Path, fakes: ModuleType, protocol: str, sides: tuple[str, str]) -> None:
         fakes.at_names(tmp_path, REFS, ASKED, sides=sides)
         made = read(protocol, tmp_path, any_size=True)
         assert rows(made) == RIGHT
@@ -140,9 +136,7 @@ class TestAtNames:
             with pytest.raises(BenchmarkError, match="looked for"):
                 read("eynsham", tmp_path)
 
-    def test_no_photo_is_looked_at(
-        self, tmp_path: Path, fakes: ModuleType, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_no_photo_is_looked_at(self, tmp_path: Path, fakes: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
         fakes.at_names(tmp_path, fakes.line(300, 5.0), ASKED)
         looked: list[str] = []
         plain = os.stat
@@ -320,8 +314,7 @@ class TestDbStruct:
         assert rows(read("pitts30k-test", tmp_path, any_size=True)) == [[0]]
         path.write_bytes(
             fakes.mat_file(
-                good
-                | {"qImageFns": [], "utmQ": np.zeros((2, 0)), "dbImageFns": [], "utmDb": np.zeros((2, 0))}
+                good | {"qImageFns": [], "utmQ": np.zeros((2, 0)), "dbImageFns": [], "utmDb": np.zeros((2, 0))}
             )
         )
         with pytest.raises(BenchmarkError, match="names no photos"):
@@ -341,8 +334,7 @@ class TestNpy:
     def test_msls_keeps_those_that_do_not_count(self, tmp_path: Path, fakes: ModuleType) -> None:
         inner = tmp_path / "msls_val"
         names = (
-            [f"train_val/sf/{side}/images/{row}.jpg" for row in range(n)]
-            for side, n in (("database", 5), ("query", 4))
+            [f"train_val/sf/{side}/images/{row}.jpg" for row in range(n)] for side, n in (("database", 5), ("query", 4))
         )
         fakes.npy_triple(inner, "msls_val", *names, [[3, 1], [0], [4]], counted=[2, 0, 3])
         made = read("msls-val-740", tmp_path, any_size=True)

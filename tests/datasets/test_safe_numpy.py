@@ -309,9 +309,7 @@ class TestZipped:
 
     @settings(max_examples=100)
     @given(edits=Edits, cut=st.one_of(st.just(0), st.integers(0, 300)))
-    def test_damage(
-        self, tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[int, int]], cut: int
-    ) -> None:
+    def test_damage(self, tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[int, int]], cut: int) -> None:
         file = io.BytesIO()
         np.savez_compressed(file, utmQ=np.arange(30.0), names=np.array(["a", "b"]))
         path = tmp_path_factory.mktemp("z") / "a.npz"

@@ -84,12 +84,8 @@ def before(
 
 @settings(max_examples=20)
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(2, 6), st.integers(0, 999))
-def test_mixed_batches_are_drawn_as_they_always_were(
-    per_batch: int, views: int, photos: int, seed: int
-) -> None:
-    places = [
-        place for pair in zip(made({"a": 6}, photos), made({"b": 6}, photos), strict=True) for place in pair
-    ]
+def test_mixed_batches_are_drawn_as_they_always_were(per_batch: int, views: int, photos: int, seed: int) -> None:
+    places = [place for pair in zip(made({"a": 6}, photos), made({"b": 6}, photos), strict=True) for place in pair]
     sampler = MixedSampler(places, per_batch=per_batch, views=views, seed=seed)
     old = before(places, per_batch=per_batch, views=views, seed=seed)
     for number, batch in enumerate(itertools.islice(old, 3)):
@@ -203,10 +199,7 @@ def test_every_epoch_is_shuffled_anew(step_m: float | None) -> None:
     together = [{frozenset(map(places.index, shown(batch))) for batch in epoch(sampler, n)} for n in range(4)]
     for one, other in itertools.combinations(together, 2):
         assert len(one & other) <= 2
-    met = [
-        Counter(pair for batch in one for pair in itertools.combinations(sorted(batch), 2))
-        for one in together
-    ]
+    met = [Counter(pair for batch in one for pair in itertools.combinations(sorted(batch), 2)) for one in together]
     shared = sum((met[0] & met[1]).values()) / sum(met[0].values())
     assert shared < 0.5  # a pair that stood together seldom does so again at once
 
@@ -245,8 +238,7 @@ def test_cliques_leave_each_place_its_chance() -> None:
     mixed = MixedSampler(places, per_batch=16, views=1, seed=0)
     sampler = CliqueSampler(places, per_batch=16, views=1, seed=0, cliques=cliques)
     drawn, asked = (
-        Counter(place for number in range(2000) for place in shown(each.batch(number)))
-        for each in (sampler, mixed)
+        Counter(place for number in range(2000) for place in shown(each.batch(number))) for each in (sampler, mixed)
     )
     for place in places:
         assert drawn[place] == pytest.approx(asked[place], rel=0.3)
@@ -293,6 +285,4 @@ def test_where_nobody_may_stand_beside_another_there_is_nothing_to_learn(which: 
 def test_a_place_near_to_all_others_is_left_out_of_cliques() -> None:
     places = made({"a": 3}, step_m=60)  # the middle one has nobody to stand beside
     sampler = CliqueSampler(places, per_batch=2, views=1, seed=0, cliques=[[0, 1]])
-    assert {frozenset(shown(sampler.batch(number))) for number in range(9)} == {
-        frozenset({places[0], places[2]})
-    }
+    assert {frozenset(shown(sampler.batch(number))) for number in range(9)} == {frozenset({places[0], places[2]})}

@@ -32,9 +32,7 @@ def test_what_is_missing_is_one_sentence(tmp_path: Path) -> None:
     assert places_of(table, [], None) == []
     assert places_of(table, rows[:1], heard.append) == []
     assert places_of(table, rows, heard.append) == []
-    assert [
-        sentence.removeprefix(f"{table} names a.jpg, which is not in {gone[0].parent}") for sentence in heard
-    ] == [
+    assert [sentence.removeprefix(f"{table} names a.jpg, which is not in {gone[0].parent}") for sentence in heard] == [
         ": left out",
         " (nor are 2 more): left out",
     ]

@@ -54,9 +54,7 @@ def paint() -> Paint:
     return paint
 
 
-def judged(
-    path: Path, off: float | None, condition: str = "night", matches: tuple[Match, ...] = ()
-) -> Judged:
+def judged(path: Path, off: float | None, condition: str = "night", matches: tuple[Match, ...] = ()) -> Judged:
     """An answer `off` metres north of the truth, or an unknown one."""
     place = None if off is None else Place(shifted(HERE, off, 0.0), 26.0, 0.5, 2)
     return Judged(Answer(path, place, list(matches)), HERE, condition)
@@ -76,8 +74,7 @@ def outcome(tmp_path: Path, paint: Paint) -> Result:
         flat = [(condition, error) for condition, listed in errors.items() for error in listed]
         town = paint(tmp_path / "town", queries=len(flat), name=name)
         known = [
-            Match(Photo(path, shifted(HERE, 30.0 * n, 0.0)), 0.9 - n / 10, n)
-            for n, path in enumerate(town.references)
+            Match(Photo(path, shifted(HERE, 30.0 * n, 0.0)), 0.9 - n / 10, n) for n, path in enumerate(town.references)
         ]
         answers = [
             judged(path, error, condition, tuple(known))

@@ -102,9 +102,7 @@ def test_the_map_draws_positions_to_scale(outcome: Result) -> None:
     metre = town_map(result).frame.scale
     page = Page(draw_demo_page(result))
     truth, found = page.all("circle", "truth")[0], page.all("circle", "found")[0]
-    assert float(truth["cy"] or "") - float(found["cy"] or "") == pytest.approx(
-        20 * metre, abs=0.01 * metre + 0.1
-    )
+    assert float(truth["cy"] or "") - float(found["cy"] or "") == pytest.approx(20 * metre, abs=0.01 * metre + 0.1)
     assert truth["cx"] == found["cx"]
     assert float(page.all("circle", "radius")[0]["r"] or "") == pytest.approx(26.0 * metre, abs=0.1)
     references = page.all("g", "references")

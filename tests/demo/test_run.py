@@ -101,9 +101,7 @@ def test_the_road_from_a_town_to_a_page(tmp_path: Path, paint: Any, monkeypatch:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["town", "town.html", "town.index"]
 
 
-def test_a_second_run_starts_from_an_empty_index(
-    tmp_path: Path, paint: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_second_run_starts_from_an_empty_index(tmp_path: Path, paint: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "draw_town", paint)
     run_demo(tmp_path, references=6, queries=1, model=FakeDescriber())
     again = run_demo(tmp_path, references=3, queries=1, model=FakeDescriber(dim=8))
@@ -111,9 +109,7 @@ def test_a_second_run_starts_from_an_empty_index(
         assert (len(index), index.dim) == (3, 8)
 
 
-def test_what_is_no_index_of_ours_is_left_alone(
-    tmp_path: Path, paint: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_index_of_ours_is_left_alone(tmp_path: Path, paint: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "draw_town", paint)
     precious = tmp_path / "town.index" / "diary.txt"
     precious.parent.mkdir()
@@ -123,9 +119,7 @@ def test_what_is_no_index_of_ours_is_left_alone(
     assert precious.read_text() == "mine"
 
 
-def test_the_shipped_model_is_asked_for_by_name(
-    tmp_path: Path, paint: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_shipped_model_is_asked_for_by_name(tmp_path: Path, paint: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
     def load(name: str) -> FakeDescriber:

@@ -257,9 +257,7 @@ def test_night_is_darker_than_day_and_fog_is_paler(studio: Studio) -> None:
     street = studio.plan.streets[1]
     point, _ = street.at(30.0)
     camera = Camera((point[0], point[1], 2.0), 20.0, (96, 72), pitch=5.0)
-    photos = {
-        light: studio.draw(Shot("a.jpg", camera, light, 1)).astype(float) for light in ("day", "night", "fog")
-    }
+    photos = {light: studio.draw(Shot("a.jpg", camera, light, 1)).astype(float) for light in ("day", "night", "fog")}
     assert photos["night"].mean() < 0.6 * photos["day"].mean()
     assert photos["fog"].std() < photos["day"].std()
 

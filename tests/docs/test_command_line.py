@@ -33,16 +33,12 @@ def _below(told: str) -> list[str]:
 
 def _options(told: str) -> set[str]:
     """The options that a help lists: those that begin a line, up to their meaning."""
-    begun = re.findall(
-        r"^[│ ] (--?[a-z].*?)(?:  |$)", told, flags=re.MULTILINE
-    )  # tyro draws boxes where it can
+    begun = re.findall(r"^[│ ] (--?[a-z].*?)(?:  |$)", told, flags=re.MULTILINE)  # tyro draws boxes where it can
     return {option for line in begun for option in OPTION.findall(line)} - EVERYWHERE
 
 
 @pytest.fixture
-def real(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> dict[str, dict[str, set[str]]]:
+def real(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, set[str]]]:
     """The parser's own word: the options of every command, of those below it too."""
     monkeypatch.setenv("COLUMNS", "300")  # no line is wrapped
     found: dict[str, dict[str, set[str]]] = {}
@@ -51,10 +47,7 @@ def real(
         below = {f"{name} {part}": _options(_help([name, part], capsys)) for part in _below(told)}
         found[name] = below or {name: _options(told)}
     assert set(found) == set(COMMANDS)
-    assert (
-        len({option for commands in found.values() for options in commands.values() for option in options})
-        > 100
-    )
+    assert len({option for commands in found.values() for options in commands.values() for option in options}) > 100
     return found
 
 
@@ -83,9 +76,7 @@ def _piped(line: str) -> Iterator[list[str]]:
     yield words[: words.index(">")] if ">" in words else words
 
 
-def test_every_command_and_option_is_shown(
-    pages: dict[str, str], real: dict[str, dict[str, set[str]]]
-) -> None:
+def test_every_command_and_option_is_shown(pages: dict[str, str], real: dict[str, dict[str, set[str]]]) -> None:
     sections = _sections(pages[PAGE])
     assert list(sections) == list(real), "a section for each command, in the order of `salad --help`"
     for name, commands in real.items():
@@ -97,9 +88,7 @@ def test_every_command_and_option_is_shown(
                 assert re.search(rf"(?<![\w-]){option}(?![\w-])", sections[name]), f"{command}: {option}"
                 by_example = {option, option.replace("--no-", "--"), option.replace("--", "--no-", 1)}
                 by_example |= {"-k"} if option == "--k" else set()  # one option by two names
-                assert any(by_example & set(line.split()) for line in mine), (
-                    f"no example of {command} {option}"
-                )
+                assert any(by_example & set(line.split()) for line in mine), f"no example of {command} {option}"
 
 
 def test_no_option_is_invented(pages: dict[str, str], real: dict[str, dict[str, set[str]]]) -> None:

@@ -25,17 +25,13 @@ def test_readme_runs(
 
 
 @pytest.mark.parametrize("page", ["docs/index.md", "docs/reference/python.md"])
-def test_a_page_that_begins_with_the_demo_runs(
-    page: str, pages: dict[str, str], follow: Callable[[str], int]
-) -> None:
+def test_a_page_that_begins_with_the_demo_runs(page: str, pages: dict[str, str], follow: Callable[[str], int]) -> None:
     assert follow(pages[page]) == 2
 
 
 def test_readme_fits_and_shows_the_two_commands() -> None:
     assert len(README.splitlines()) <= 120
-    assert (
-        README.index("pip install salad-vpr") < README.index("import salad") < README.index("docs/demo.png")
-    )
+    assert README.index("pip install salad-vpr") < README.index("import salad") < README.index("docs/demo.png")
     assert "bash scripts/demo" in README
     assert "bash scripts/test" in README
 

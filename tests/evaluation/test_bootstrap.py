@@ -39,9 +39,7 @@ def covered(sample: Sample, truth: float, *planned: Planned, sets: int) -> list[
 
 
 def of_share(hits: np.ndarray, plan: Resampling, *, seed: int = 0) -> Interval:
-    draws = [
-        100 * (some @ hits) / some.sum(axis=1) for some in replace(plan, seed=seed, times=TIMES).weights()
-    ]
+    draws = [100 * (some @ hits) / some.sum(axis=1) for some in replace(plan, seed=seed, times=TIMES).weights()]
     share = 100 * float(hits.mean())
     return proportion_interval(share, np.concatenate(draws), units=plan.units, counted=len(hits))
 
@@ -149,9 +147,7 @@ def test_all_right_is_not_certain() -> None:
 
 def test_many_queries_of_one_kind_are_never_surer_than_independent_ones() -> None:
     hits = np.array([1.0, 0.0] * 50)
-    paired = of_share(
-        hits, together(hits, [str(number // 2) for number in range(100)])
-    )  # each group: one of each
+    paired = of_share(hits, together(hits, [str(number // 2) for number in range(100)]))  # each group: one of each
     assert paired.high - paired.low == pytest.approx(2 * 9.6, abs=0.8)
 
 
@@ -169,11 +165,7 @@ def test_percentiles() -> None:
     assert percentile_interval(np.array([1.0, np.inf])) == (1.0, np.inf)
 
 
-@given(
-    st.dictionaries(
-        st.sampled_from([1, 5, 10, 20]), st.tuples(st.floats(0, 50), st.floats(50, 100)), min_size=1
-    )
-)
+@given(st.dictionaries(st.sampled_from([1, 5, 10, 20]), st.tuples(st.floats(0, 50), st.floats(50, 100)), min_size=1))
 def test_intervals_of_growing_shares_grow(ends: dict[int, tuple[float, float]]) -> None:
     found = nested({key: Interval(*pair) for key, pair in ends.items()})
     assert list(found) == list(ends)

@@ -43,9 +43,7 @@ def rankings(draw: st.DrawFn) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def by_hand(ranked: np.ndarray, positives: list[np.ndarray], k: int, *, drop: bool) -> float:
-    pairs = [
-        (set(row[:k].tolist()), set(right.tolist())) for row, right in zip(ranked, positives, strict=True)
-    ]
+    pairs = [(set(row[:k].tolist()), set(right.tolist())) for row, right in zip(ranked, positives, strict=True)]
     counted = [bool(first & right) for first, right in pairs if right or not drop]
     return 100 * sum(counted) / len(counted)
 

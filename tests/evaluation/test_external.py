@@ -110,9 +110,9 @@ class TestRankings:
         assert len(result.notes) == 2
         assert "1 lines of ranked.txt are of queries that the protocol leaves out" in result.notes[1]
         ranked.write_text("q0\nq1\nq2\nq3\n", encoding="utf-8")
-        assert evaluate_rankings(
-            benchmark(tmp_path), ranked, name="peer", settings=EvalSettings((5,))
-        ).recall == {1: 0.0}
+        assert evaluate_rankings(benchmark(tmp_path), ranked, name="peer", settings=EvalSettings((5,))).recall == {
+            1: 0.0
+        }
 
     @pytest.mark.parametrize(
         ("text", "named"),

@@ -66,9 +66,7 @@ def test_a_query_that_counts_twice_is_there_twice(case: Case, data: st.DataObjec
     if repeated:
         curve = answers(repeated).curve()
         assert drawn.area.tolist() == pytest.approx([float(curve.area)])
-        assert drawn.recall_at_full_precision.tolist() == pytest.approx(
-            [float(curve.recall_at_full_precision)]
-        )
+        assert drawn.recall_at_full_precision.tolist() == pytest.approx([float(curve.recall_at_full_precision)])
 
 
 def test_an_unanswerable_query_is_a_chance_to_be_wrong() -> None:
@@ -109,9 +107,7 @@ def test_metres_of_a_result() -> None:
     ]
     positives = [np.array([0]), np.array([1]), np.array([0]), np.array([0]), np.zeros(0, np.int64)]
     ranked = Ranked(np.array([[0], [1], [2], [0], [3]]))
-    drop = judge(
-        Benchmark("b", "radius 25 m", references, queries, positives), ranked, EvalSettings(), model="m"
-    )
+    drop = judge(Benchmark("b", "radius 25 m", references, queries, positives), ranked, EvalSettings(), model="m")
     far = drop.distances
     assert far is not None
     assert far.known == 2  # q2's match and q3 have no position, q4 no answer

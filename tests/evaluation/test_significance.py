@@ -19,9 +19,7 @@ from salad.images.photo import Photo
 PHOTOS = [Photo(Path(f"r{number}.jpg")) for number in range(3)]
 
 
-def result(
-    hits: list[bool], *, protocol: str = "radius 25 m", groups: list[str] | None = None, **more: Any
-) -> Result:
+def result(hits: list[bool], *, protocol: str = "radius 25 m", groups: list[str] | None = None, **more: Any) -> Result:
     """Queries that find the right reference, row 0, or another one."""
     ranked = Ranked(np.array([[0 if hit else 1] for hit in hits]))
     benchmark = Benchmark(

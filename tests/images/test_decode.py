@@ -62,9 +62,7 @@ def test_every_orientation_comes_out_upright(tmp_path: Path, orientation: int, s
         expected = ImageOps.exif_transpose(image)
     rgb = open_rgb(tmp_path / f"a{suffix}")
     assert np.array_equal(np.asarray(rgb), np.asarray(expected))
-    assert np.array_equal(
-        np.asarray(ImageOps.exif_transpose(rgb)), np.asarray(rgb)
-    )  # not turned a second time
+    assert np.array_equal(np.asarray(ImageOps.exif_transpose(rgb)), np.asarray(rgb))  # not turned a second time
 
 
 def test_an_upright_phone_photo_is_taller_than_wide(tmp_path: Path) -> None:
@@ -221,9 +219,7 @@ def test_pillows_own_lower_limit_neither_warns_nor_refuses(
 def test_threads_leave_pillow_and_warnings_as_they_were(tmp_path: Path) -> None:
     Image.fromarray(COLOURS).save(tmp_path / "a.tif")
     limit, filters = Image.MAX_IMAGE_PIXELS, list(warnings.filters)
-    threads = [
-        threading.Thread(target=lambda: [open_rgb(tmp_path / "a.tif") for _ in range(20)]) for _ in range(4)
-    ]
+    threads = [threading.Thread(target=lambda: [open_rgb(tmp_path / "a.tif") for _ in range(20)]) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:

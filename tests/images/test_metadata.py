@@ -152,10 +152,7 @@ def test_any_left_part_of_a_timestamp(stamp: str, time: datetime | None) -> None
     assert told == Position(HERE, 10.5, time)
 
 
-@given(
-    st.text(max_size=60)
-    | st.lists(st.text("0123456789.-_SNa٣", max_size=16)).map(lambda f: "@" + "@".join(f))
-)
+@given(st.text(max_size=60) | st.lists(st.text("0123456789.-_SNa٣", max_size=16)).map(lambda f: "@" + "@".join(f)))
 def test_no_name_crashes(name: str) -> None:
     told = parse_at_name(name)
     assert told is None or told.heading is None or 0 <= told.heading < 360
@@ -294,9 +291,7 @@ def test_original_time_with_its_offset(text: str, offset: str | None, time: date
         | st.binary(max_size=6)
         | st.none()
         | st.floats()
-        | st.lists(st.one_of(st.floats(), st.text(max_size=2), st.just(IFDRational(0, 0))), max_size=4).map(
-            tuple
-        ),
+        | st.lists(st.one_of(st.floats(), st.text(max_size=2), st.just(IFDRational(0, 0))), max_size=4).map(tuple),
     )
 )
 def test_no_tag_crashes(gps: dict[int, Any]) -> None:
@@ -391,9 +386,7 @@ def camera(order: str) -> bytes:
 
 @settings(max_examples=30)
 @given(anywhere, anywhere, st.floats(0, 1e5))
-def test_a_position_comes_back_and_nothing_else_changes(
-    first: GeoPoint, second: GeoPoint, within: float
-) -> None:
+def test_a_position_comes_back_and_nothing_else_changes(first: GeoPoint, second: GeoPoint, within: float) -> None:
     plain = jpeg()
     once = with_position(plain, first, within_m=within)
     twice = with_position(once, second)
@@ -402,8 +395,7 @@ def test_a_position_comes_back_and_nothing_else_changes(
         with Image.open(io.BytesIO(data)) as image:
             gps = image.getexif().get_ifd(IFD.GPSInfo)
         found = [
-            sum(float(part) / 60**n for n, part in enumerate(gps[tag]))
-            for tag in (GPS.GPSLatitude, GPS.GPSLongitude)
+            sum(float(part) / 60**n for n, part in enumerate(gps[tag])) for tag in (GPS.GPSLatitude, GPS.GPSLongitude)
         ]
         signs = [-1 if gps[tag] in "SW" else 1 for tag in (GPS.GPSLatitudeRef, GPS.GPSLongitudeRef)]
         assert metres_between(GeoPoint(signs[0] * found[0], signs[1] * found[1]), where) < 0.001

@@ -22,8 +22,7 @@ from salad.localize.locate import locate_many
 from salad.models.describer import Describer
 from salad.models.fake import FakeDescriber
 from salad.network.aggregator_config import SaladConfig
-from salad.network.backbones.dinov2 import ViTConfig
-from salad.network.config import ModelConfig, Preprocessing
+from salad.network.config import ModelConfig, Preprocessing, ViTConfig
 from salad.network.network import build
 from salad.training.batches import ImageCache
 
@@ -128,9 +127,7 @@ def test_the_index_and_its_queries(
 
 
 @pytest.mark.parametrize("cached", [False, True])
-def test_evaluation(
-    paths: list[Path], seen: list[np.ndarray], watched: Watched, cached: bool, tmp_path: Path
-) -> None:
+def test_evaluation(paths: list[Path], seen: list[np.ndarray], watched: Watched, cached: bool, tmp_path: Path) -> None:
     photos = [Photo(path) for path in paths]
     benchmark = Benchmark("made", "itself", photos, photos[:1], [np.array([0])])
     evaluate(benchmark, watched, batch_size=1, cache=tmp_path / "cache" if cached else None)
@@ -146,6 +143,4 @@ def test_training(paths: list[Path], seen: list[np.ndarray]) -> None:
 
 def test_thumbnails_of_leaks(paths: list[Path]) -> None:
     for path in paths:
-        assert np.array_equal(
-            thumbnail(path), decode(path, SIDE, SIDE, "box").astype(np.float64).mean(axis=2)
-        )
+        assert np.array_equal(thumbnail(path), decode(path, SIDE, SIDE, "box").astype(np.float64).mean(axis=2))

@@ -161,11 +161,7 @@ def sized_tiff(width: int, height: int, **tags: int) -> bytes:
 
 
 def sized_bmp(width: int, height: int) -> bytes:
-    return (
-        b"BM"
-        + struct.pack("<IHHIIiiHHIIiiII", 99, 0, 0, 54, 40, width, height, 1, 24, 0, 0, 0, 0, 0, 0)
-        + b"x"
-    )
+    return b"BM" + struct.pack("<IHHIIiiHHIIiiII", 99, 0, 0, 54, 40, width, height, 1, 24, 0, 0, 0, 0, 0, 0) + b"x"
 
 
 def sized_jp2(width: int, height: int) -> bytes:
@@ -221,9 +217,7 @@ print(highest())
 def taken(folder: Path) -> tuple[list[str], int]:
     """What a process of its own opens of the photos in a folder, and the KiB of memory it had at most."""
     pytest.importorskip("resource", reason="only Unix measures memory so")
-    ran = subprocess.run(
-        [sys.executable, "-c", CHILD, folder], capture_output=True, encoding="utf-8", check=False
-    )
+    ran = subprocess.run([sys.executable, "-c", CHILD, folder], capture_output=True, encoding="utf-8", check=False)
     assert (ran.returncode, ran.stderr) == (0, "")
     *opened, memory = ran.stdout.splitlines()
     return opened, int(memory)

@@ -20,7 +20,8 @@ from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.images.decode import open_rgb
 from salad.images.metadata import Position, at_name, save_jpeg
-from salad.images.photo import Photo, PhotoTable, content_hash, find_photos, read_photo
+from salad.images.photo import Photo, content_hash, find_photos, read_photo
+from salad.images.photo_table import PhotoTable
 
 HERE = GeoPoint(37.7126, -122.4855)
 GREY = np.full((4, 6, 3), 128, np.uint8)
@@ -146,9 +147,7 @@ def test_table_then_name_then_exif_each_for_what_it_knows(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("content", [b"", b"not an image", b"\xff\xd8\xff\xe1\x00\x10Exif\0\0garbage"])
-def test_a_photo_that_cannot_be_opened_has_no_exif_but_its_name_counts(
-    tmp_path: Path, content: bytes
-) -> None:
+def test_a_photo_that_cannot_be_opened_has_no_exif_but_its_name_counts(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / at_name(HERE)
     path.write_bytes(content)
     assert read_photo(path).where is not None
@@ -269,9 +268,7 @@ def test_which_photo_a_row_means(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     full = tmp_path / "queries/1.jpg"
-    places = table(
-        tmp_path / "lists", f"path,lat,lon\n../references/1.jpg,1,1\n{full},2,2\nfar/2.jpg,3,3\n3.jpg,4,4\n"
-    )
+    places = table(tmp_path / "lists", f"path,lat,lon\n../references/1.jpg,1,1\n{full},2,2\nfar/2.jpg,3,3\n3.jpg,4,4\n")
     assert places.get(tmp_path / "references/1.jpg") == Position(GeoPoint(1, 1))
     assert places.get(full) == Position(GeoPoint(2, 2))
     assert places.get("/elsewhere/far/2.jpg") == Position(GeoPoint(3, 3))
@@ -349,9 +346,9 @@ def test_each_row_has_one_photo_or_says_which_has_not(tmp_path: Path) -> None:
 @given(
     st.text(max_size=80)
     | st.binary(max_size=80)
-    | st.lists(
-        st.lists(st.text('a1.,-"\n\0é/ ', max_size=6), min_size=2, max_size=5).map(",".join), max_size=5
-    ).map(lambda rows: "path,lat,lon,time\n" + "\n".join(rows))
+    | st.lists(st.lists(st.text('a1.,-"\n\0é/ ', max_size=6), min_size=2, max_size=5).map(",".join), max_size=5).map(
+        lambda rows: "path,lat,lon,time\n" + "\n".join(rows)
+    )
 )
 def test_no_table_crashes(text: str | bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -219,9 +219,7 @@ def test_reading_here_needs_no_process(tmp_path: Path) -> None:
     assert threading.active_count() == before
 
 
-def test_one_trip_brings_all_of_a_photo_from_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_trip_brings_all_of_a_photo_from_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, opened = photo(tmp_path / "a.jpg"), []
     due = PhotoRead(read_photo(path), content_hash(path), workers.decode(path, *SHAPE))
     honest = Path.open
@@ -256,9 +254,7 @@ def test_what_is_on_its_way_is_bounded_and_in_order() -> None:
 
 
 @pytest.mark.parametrize(("memory", "count"), [(1 << 20, 1), (5 << 30, 2), (1 << 40, 8)])
-def test_no_more_are_read_at_once_than_memory_allows(
-    memory: int, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_more_are_read_at_once_than_memory_allows(memory: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sysconf", lambda name: 1 if name == "SC_PAGE_SIZE" else memory)
     assert workers.photos_at_once() == count

@@ -18,7 +18,8 @@ from PIL import Image
 
 from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.geo import GeoPoint
-from salad.images.photo import Photo, PhotoTable, content_hash
+from salad.images.photo import Photo, content_hash
+from salad.images.photo_table import PhotoTable
 from salad.images.workers import PhotoRead, Workers
 from salad.index import build
 from salad.index.build import index_photos
@@ -106,9 +107,7 @@ def test_copies_are_kept_once_and_named(index: Index, photos: list[Path]) -> Non
     copies = [path.with_name(f"copy-{path.name}") for path in photos]
     for path, copy in zip(photos, copies, strict=True):
         copy.write_bytes(path.read_bytes())
-    done = index_photos(
-        [photos[0], copies[0], *photos[1:], *copies[1:]], index, FakeDescriber(), batch_size=1
-    )
+    done = index_photos([photos[0], copies[0], *photos[1:], *copies[1:]], index, FakeDescriber(), batch_size=1)
     assert (done.added, done.skipped, len(done.twins), done.moved) == (20, 20, 20, 0)
     assert str(copies[0]) in done.twins[0]
     assert str(photos[0]) in done.twins[0]
@@ -234,12 +233,10 @@ def test_many_photos_are_read_by_processes_and_a_crash_costs_one(
         assert best.photo == Photo(path, GeoPoint(1, 2) if path.name == "05.png" else None)
 
 
-def test_an_interrupt_ends_the_processes(
-    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_ends_the_processes(index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Workers] = []
     monkeypatch.setattr("salad.images.workers.FEW", 10)
-    monkeypatch.setattr("salad.index.build.Workers", lambda photos: made.append(Workers(photos)) or made[0])
+    monkeypatch.setattr("salad.images.workers.Workers", lambda photos: made.append(Workers(photos)) or made[0])
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         index_photos(photos, index, CountingDescriber(interrupt_at=7), batch_size=3)
@@ -339,9 +336,7 @@ def test_a_replaced_photo_takes_two_trips_and_is_right(
     assert best.score == pytest.approx(1, abs=2e-3)
 
 
-def test_the_index_is_asked_once_a_batch(
-    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_index_is_asked_once_a_batch(index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     for name in ("find", "known", "taken"):
         honest = getattr(Index, name)
@@ -361,9 +356,7 @@ class Meddling(FakeDescriber):
 
 
 @pytest.mark.parametrize("moved", [False, True])
-def test_what_somebody_else_adds_meanwhile_is_added_once(
-    index: Index, photos: list[Path], moved: bool
-) -> None:
+def test_what_somebody_else_adds_meanwhile_is_added_once(index: Index, photos: list[Path], moved: bool) -> None:
     """Between the question about a batch and its commit."""
     model = Meddling()
     others = [path.with_name(f"copy-{path.name}") if moved else path for path in photos[:6]]

@@ -71,8 +71,7 @@ PHOTOS = st.builds(
     .map(lambda name: Path("/photos", name)),
     where=st.none() | st.builds(GeoPoint, st.floats(-90, 90), st.floats(-180, 180)),
     heading=st.none() | st.floats(0, 360),
-    time=st.none()
-    | st.datetimes(timezones=st.sampled_from([None, UTC, timezone(timedelta(hours=-3, minutes=-30))])),
+    time=st.none() | st.datetimes(timezones=st.sampled_from([None, UTC, timezone(timedelta(hours=-3, minutes=-30))])),
 )
 
 
@@ -96,9 +95,7 @@ def test_what_goes_in_comes_out(photos: list[Photo]) -> None:
 CONTENTS = "abcdefgh"
 PATHS = ["x/1", "x/2", "xy/1", "x/z/1", "y"]
 CHANGES = st.one_of(
-    st.tuples(
-        st.just("add"), st.lists(st.tuples(st.sampled_from(PATHS), st.sampled_from(CONTENTS)), max_size=4)
-    ),
+    st.tuples(st.just("add"), st.lists(st.tuples(st.sampled_from(PATHS), st.sampled_from(CONTENTS)), max_size=4)),
     st.tuples(st.just("remove"), st.sampled_from([*PATHS, "x", "xy", "nothing"])),
     st.tuples(st.just("open again"), st.none()),
 )
@@ -115,9 +112,7 @@ def test_any_changes_agree_with_a_dictionary(changes: list[tuple[str, object]]) 
             if kind == "add":
                 new = {content for _, content in what} - set(expected)
                 rows = np.stack([vectors[c] for _, c in what]) if what else np.zeros((0, DIM))
-                assert index.add([photo(p) for p, _ in what], rows, identities=[c for _, c in what]) == len(
-                    new
-                )
+                assert index.add([photo(p) for p, _ in what], rows, identities=[c for _, c in what]) == len(new)
                 expected.update({content: path for path, content in what})
                 current, here = {c for _, c in what}, {p for p, _ in what}
                 expected = {c: p for c, p in expected.items() if c in current or p not in here}
@@ -149,9 +144,7 @@ def test_unknown_facts_take_nothing_away(index: Index) -> None:
     assert list(index.photos()) == [replace(known, path=Path("/photos/b.jpg"))]
     index.update([Photo(Path("/photos/b.jpg"), GeoPoint(3, 4)), photo("other")], ["a", "unheard of"])
     assert list(index.photos()) == [replace(known, path=Path("/photos/b.jpg"), where=GeoPoint(3, 4))]
-    assert index.search(descriptors(1))[0][0].score == pytest.approx(
-        1, abs=2e-3
-    )  # the first descriptor stays
+    assert index.search(descriptors(1))[0][0].score == pytest.approx(1, abs=2e-3)  # the first descriptor stays
 
 
 def test_swapped_files_are_both_kept(index: Index) -> None:
@@ -190,9 +183,7 @@ def test_links_are_resolved_and_names_need_not_be_text(index: Index, tmp_path: P
     assert index.remove([real]) == 1
 
 
-def test_relative_paths_are_stored_absolute(
-    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_relative_paths_are_stored_absolute(index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     index.add([Photo(Path("a.jpg"))], descriptors(1), identities=["a"])
     assert [held.path for held in index.photos()] == [Path(os.path.realpath("a.jpg"))]
@@ -202,9 +193,7 @@ def test_relative_paths_are_stored_absolute(
 
 def test_many_photos_are_listed_in_parts(index: Index) -> None:
     count = 2100
-    index.add(
-        [photo(f"{n}") for n in range(count)], descriptors(count), identities=[str(n) for n in range(count)]
-    )
+    index.add([photo(f"{n}") for n in range(count)], descriptors(count), identities=[str(n) for n in range(count)])
     assert names(index) == [str(n) for n in range(count)]
 
 
@@ -246,9 +235,7 @@ def test_an_index_is_made_only_in_an_empty_place(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file", "new"]
 
 
-def test_nothing_is_left_of_an_index_that_could_not_be_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_left_of_an_index_that_could_not_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(self: Path, target: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -280,9 +267,7 @@ def _spoil(folder: Path, **changes: object) -> None:
         ({"kind": "something else"}, "damaged"),
     ],
 )
-def test_a_header_that_cannot_be_ours_is_refused(
-    index: Index, changes: dict[str, object], sentence: str
-) -> None:
+def test_a_header_that_cannot_be_ours_is_refused(index: Index, changes: dict[str, object], sentence: str) -> None:
     _spoil(index.folder, **changes)
     with pytest.raises(StoreError, match=sentence):
         Index.open(index.folder)
@@ -526,10 +511,7 @@ def test_verify_tells_of_a_damaged_table(index: Index) -> None:
     add(index, "abcd")
     with sqlite3.connect(index.folder / "photos.sqlite") as db:
         db.execute("PRAGMA writable_schema = ON")
-        db.execute(
-            "UPDATE sqlite_schema SET sql = replace(sql, 'removed = 0', 'removed = 1') "
-            "WHERE name = 'live_path'"
-        )
+        db.execute("UPDATE sqlite_schema SET sql = replace(sql, 'removed = 0', 'removed = 1') WHERE name = 'live_path'")
     db.close()
     with Index.open(index.folder) as again:
         assert any("is damaged" in said for said in again.verify())

@@ -207,9 +207,7 @@ class IndexMachine(RuleBasedStateMachine):
             assert page.damaged == []
             for shown, content, row in zip(page.photos, page.identities, page.descriptors, strict=True):
                 np.testing.assert_array_equal(row, ROWS[int(content)].astype(np.float16))
-                held[content] = Held(
-                    str(shown.path.relative_to(HOME)), shown.where.lat if shown.where else None
-                )
+                held[content] = Held(str(shown.path.relative_to(HOME)), shown.where.lat if shown.where else None)
         return held
 
 

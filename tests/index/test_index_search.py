@@ -62,9 +62,7 @@ ASKED: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("asked", ASKED)
-def test_any_searcher_may_stand_in_for_the_exact_one(
-    folder: Path, index: Index, asked: dict[str, Any]
-) -> None:
+def test_any_searcher_may_stand_in_for_the_exact_one(folder: Path, index: Index, asked: dict[str, Any]) -> None:
     with Index.open(folder, searcher=BruteForceSearcher) as plain:
         assert numbers(plain.search(**asked)) == numbers(index.search(**asked))
 
@@ -89,15 +87,11 @@ with Index.open(sys.argv[1]) as index:
 """
 
 
-def test_processes_that_search_at_once_get_the_answers_of_one(
-    folder: Path, index: Index, tmp_path: Path
-) -> None:
+def test_processes_that_search_at_once_get_the_answers_of_one(folder: Path, index: Index, tmp_path: Path) -> None:
     queries = tmp_path / "q.npy"
     np.save(queries, unit(60, 9))
     command = [sys.executable, "-c", SEARCHING, str(folder), str(queries)]
-    running = [
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(4)
-    ]
+    running = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     for process in running:
         assert process.stdin is not None
         process.stdin.write("go\n")
@@ -110,9 +104,7 @@ def test_processes_that_search_at_once_get_the_answers_of_one(
 def test_the_mean_is_of_what_is_alive_whatever_a_filter_lets_through(index: Index) -> None:
     every = {match.row: match.score for match in index.search(unit(2, 1), k=COUNT, centred=True)[0]}
     (some,) = index.search(unit(2, 1), k=COUNT, centred=True, where=Filter(box=(-1, 1, 1, 2)))
-    assert {match.row: match.score for match in some} == {
-        row: every[row] for row in range(1000, 2001) if row % 7
-    }
+    assert {match.row: match.score for match in some} == {row: every[row] for row in range(1000, 2001) if row % 7}
 
 
 class Placed(ExactSearcher):
@@ -139,9 +131,7 @@ def test_a_searcher_that_takes_filters_is_given_them(folder: Path, index: Index)
     Placed.given.clear()
     with Index.open(folder, searcher=Placed) as placed:
         (found,) = placed.search(unit(3, 1), k=60, where=where)
-        assert numbers([found]) == numbers(
-            index.search(unit(3, 1), k=60, where=where)
-        )  # removed ones are out
+        assert numbers([found]) == numbers(index.search(unit(3, 1), k=60, where=where))  # removed ones are out
         placed.search(unit(3, 1))
     assert Placed.given[0] is where
     assert isinstance(Placed.given[1], np.ndarray)

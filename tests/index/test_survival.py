@@ -464,9 +464,7 @@ def flip(index: Index, row: int, *, byte: int = 3, bits: int = 0x01) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(
-    hits=st.dictionaries(
-        st.integers(0, 19), st.tuples(st.integers(0, 2 * DIM - 1), st.integers(1, 255)), max_size=5
-    ),
+    hits=st.dictionaries(st.integers(0, 19), st.tuples(st.integers(0, 2 * DIM - 1), st.integers(1, 255)), max_size=5),
 )
 def test_flipped_bytes_are_named_and_the_rest_stays_usable(
     tmp_path_factory: pytest.TempPathFactory, hits: dict[int, tuple[int, int]]
@@ -476,9 +474,7 @@ def test_flipped_bytes_are_named_and_the_rest_stays_usable(
         for row, (byte, bits) in hits.items():
             flip(index, row, byte=byte, bits=bits)
         said = index.verify()
-        assert [sentence.split(" has ")[0] for sentence in said] == [
-            str(HOME / f"{row}.jpg") for row in sorted(hits)
-        ]
+        assert [sentence.split(" has ")[0] for sentence in said] == [str(HOME / f"{row}.jpg") for row in sorted(hits)]
         assert all(sentence.endswith("remove it and index it again") for sentence in said)
         sound = set(range(20)) - set(hits)
         for row in sound:
@@ -512,9 +508,7 @@ def test_a_truncated_matrix_opens_and_the_rest_stays_usable(index: Index) -> Non
         assert names(cut) == ["0", "1", "2", "3"]  # what is known of the others is not lost
         whole, *photos = cut.verify()
         assert "is truncated: it holds 2 descriptors, 5 were committed; restore it" in whole
-        assert photos == [
-            f"{HOME / name}.jpg has lost its descriptor: remove it and index it again" for name in "23"
-        ]
+        assert photos == [f"{HOME / name}.jpg has lost its descriptor: remove it and index it again" for name in "23"]
         with pytest.raises(StoreError, match=r"lacks the descriptors of 2 photos.*salad compact"):
             add(cut, [9])
         assert add(cut, [0]) == 0  # nothing is written behind
@@ -564,13 +558,9 @@ def test_an_index_without_checksums_can_be_used_and_gets_them(index: Index) -> N
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    hits=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=8)
-)
+@given(hits=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=8))
 @example(hits=[(0.1484375, 128)])  # which SQLite's own sentence quotes, and is no text
-def test_a_damaged_table_is_a_sentence(
-    tmp_path_factory: pytest.TempPathFactory, hits: list[tuple[float, int]]
-) -> None:
+def test_a_damaged_table_is_a_sentence(tmp_path_factory: pytest.TempPathFactory, hits: list[tuple[float, int]]) -> None:
     folder = tmp_path_factory.mktemp("spoilt") / "i"
     with create(folder) as index:
         add(index, range(30))
@@ -606,9 +596,7 @@ def test_a_commit_that_makes_no_sense_is_refused(index: Index, column: str, valu
         Index.open(index.folder)
 
 
-def test_verify_says_what_it_can_of_a_table_that_cannot_be_read(
-    index: Index, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_verify_says_what_it_can_of_a_table_that_cannot_be_read(index: Index, monkeypatch: pytest.MonkeyPatch) -> None:
     add(index, range(3))
     flip(index, 1)
 

@@ -34,9 +34,7 @@ def create(folder: Path, *, model: str = "fake") -> Index:
 
 
 PHOTOS = [
-    Photo(
-        Path('/photos/東京駅, "east".jpg'), GeoPoint(35.681236, 139.767125), 90.5, datetime(2024, 5, 1, 12)
-    ),
+    Photo(Path('/photos/東京駅, "east".jpg'), GeoPoint(35.681236, 139.767125), 90.5, datetime(2024, 5, 1, 12)),
     Photo(Path("/photos/شارع.jpg"), None, None, datetime(2024, 5, 1, 12, tzinfo=UTC)),
     Photo(Path("/photos/two\nlines.jpg"), GeoPoint(-90.0, 180.0), 360.0, None),
     Photo(Path("/photos/plain.jpg")),
@@ -103,9 +101,7 @@ def test_what_other_programs_see(index: Index, tmp_path: Path) -> None:
 TABLES = st.lists(
     st.builds(
         Photo,
-        path=st.text(
-            st.characters(exclude_characters="/\0", exclude_categories=["Cs"]), min_size=1, max_size=9
-        )
+        path=st.text(st.characters(exclude_characters="/\0", exclude_categories=["Cs"]), min_size=1, max_size=9)
         .filter(lambda name: name not in (".", ".."))
         .map(lambda name: Path("/photos", name)),
         where=st.none() | st.builds(GeoPoint, st.floats(-90, 90), st.floats(-180, 180)),
@@ -139,9 +135,7 @@ def test_names_that_are_not_text(tmp_path: Path) -> None:
             with create(tmp_path / f"back.{form}") as back:
                 assert take(back, tmp_path / form) == 1
                 assert list(back.photos()) == [photo]
-        with pytest.raises(
-            StoreError, match=r"is not UTF-8, and Parquet holds no other names: export as csv"
-        ):
+        with pytest.raises(StoreError, match=r"is not UTF-8, and Parquet holds no other names: export as csv"):
             export(index, tmp_path / "parquet", form="parquet")
         assert not (tmp_path / "parquet").exists()
 
@@ -153,9 +147,7 @@ def test_an_empty_index_goes_out_and_comes_back(tmp_path: Path) -> None:
             assert take(index, tmp_path / form) == 0
 
 
-def test_an_export_is_whole_or_not_there(
-    index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_export_is_whole_or_not_there(index: Index, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").touch()
     with pytest.raises(StoreError, match="already exists and is not empty"):
@@ -228,9 +220,7 @@ def test_another_tools_descriptors_are_taken(tmp_path: Path, foreign: Path) -> N
 def test_only_who_names_the_model_vouches_for_it(tmp_path: Path, foreign: Path) -> None:
     with create(tmp_path / "i", model="ours") as index:
         for model in (None, "theirs"):
-            with pytest.raises(
-                WrongModelError, match=r"made with ours .* take them into an index of their own"
-            ):
+            with pytest.raises(WrongModelError, match=r"made with ours .* take them into an index of their own"):
                 take(index, foreign, model=model)
         assert take(index, foreign, model="ours") == 3
     wide = Index.create(tmp_path / "wide", dim=DIM + 1, fingerprint="f", model="ours")
@@ -382,9 +372,7 @@ def test_the_folder_must_hold_one_of_each(tmp_path: Path, foreign: Path) -> None
         ({"dim": 9}, "says descriptors of 9 numbers, but .* holds 8"),
     ],
 )
-def test_a_damaged_export_is_refused(
-    index: Index, tmp_path: Path, change: dict[str, object], sentence: str
-) -> None:
+def test_a_damaged_export_is_refused(index: Index, tmp_path: Path, change: dict[str, object], sentence: str) -> None:
     export(index, tmp_path / "out")
     told = tmp_path / "out" / "model.json"
     told.write_text(json.dumps(json.loads(told.read_text()) | change))

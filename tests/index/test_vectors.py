@@ -100,9 +100,7 @@ def test_reads_that_stop_short_go_on(file: Path, monkeypatch: pytest.MonkeyPatch
     assert np.array_equal(FileRows(file, rows=20, dim=DIM).take(range(20)), drawn(20))
 
 
-def test_systems_without_preadv_read_the_same_from_any_thread(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_systems_without_preadv_read_the_same_from_any_thread(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "preadv")
     held, wrong = FileRows(file, rows=20, dim=DIM), []
 
@@ -184,9 +182,7 @@ def unit(rows: int, dim: int = DIM) -> np.ndarray:
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
 @pytest.mark.parametrize("block", [1, 2 * DIM + 1, 1 << 20])
-def test_descriptors_are_stored_as_the_nearest_half(
-    dtype: type, block: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_descriptors_are_stored_as_the_nearest_half(dtype: type, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vectors, "_BLOCK", block)
     given = unit(9).astype(dtype)
     stored = storable(given, 9, DIM)

@@ -30,9 +30,7 @@ TOWN = GeoPoint(37.7, -122.4)
 SIGNS = np.array([1, 1, -1, 1])
 
 
-def drawn(
-    seed: int, count: int = 200, *, weights: tuple[float, ...] = (3, 2, 2, 1)
-) -> tuple[np.ndarray, np.ndarray]:
+def drawn(seed: int, count: int = 200, *, weights: tuple[float, ...] = (3, 2, 2, 1)) -> tuple[np.ndarray, np.ndarray]:
     """Evidence `[count, 4]` and what is right, by a logistic model of these weights."""
     chance = np.random.default_rng(seed)
     evidence = chance.normal(size=(count, 4))
@@ -44,9 +42,7 @@ def judged(sure: object, right: object, weight: object = None) -> Predictions:
     """As if all stood 1 m from a place of radius 1 m."""
     confidence, flags = np.asarray(sure, dtype=float), np.asarray(right, dtype=bool)
     ones = np.ones(len(flags))
-    return Predictions(
-        confidence, flags, ones, ones, ones if weight is None else np.asarray(weight, dtype=float)
-    )
+    return Predictions(confidence, flags, ones, ones, ones if weight is None else np.asarray(weight, dtype=float))
 
 
 def drawn_cases(seed: int, places: int = 40) -> list[Case]:
@@ -57,9 +53,7 @@ def drawn_cases(seed: int, places: int = 40) -> list[Case]:
         home = shifted(TOWN, 300.0 * number, 0)
         for _ in range(4):
             here = 0 if number % 3 == 0 else int(chance.integers(1, 6))
-            scores = np.sort(chance.normal(0.4, 0.05, 5) + (np.arange(5) < here) * chance.normal(0.25, 0.1))[
-                ::-1
-            ]
+            scores = np.sort(chance.normal(0.4, 0.05, 5) + (np.arange(5) < here) * chance.normal(0.25, 0.1))[::-1]
             where = [
                 shifted(home, *chance.normal(0, 4, 2))
                 if n < here
@@ -96,9 +90,7 @@ def test_the_fit_is_the_optimum_without_negative_weights(seed: int, weights: lis
 def test_the_fit_does_not_care_for_units() -> None:
     evidence, right = drawn(1)
     bias, weights = fit_logistic(evidence, right, np.ones(len(right)))
-    scaled_bias, scaled = fit_logistic(
-        evidence * [1, 10, 100, 0.1] + [5, 0, 0, 0], right, np.ones(len(right))
-    )
+    scaled_bias, scaled = fit_logistic(evidence * [1, 10, 100, 0.1] + [5, 0, 0, 0], right, np.ones(len(right)))
     assert scaled * [1, 10, 100, 0.1] == pytest.approx(weights, rel=1e-5)
     assert scaled_bias + 5 * scaled[0] == pytest.approx(bias, abs=1e-5)
 
@@ -128,19 +120,13 @@ some_weight = st.sampled_from([0.25, 1.0, 2.0])
 
 
 @given(
-    st.lists(
-        st.tuples(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.9, 1.0]), st.booleans(), some_weight), min_size=1
-    ),
+    st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.9, 1.0]), st.booleans(), some_weight), min_size=1),
     st.sampled_from([0.5, 0.875, 0.95]),
 )
-def test_the_threshold_is_the_lowest_that_keeps_its_word(
-    cases: list[tuple[float, bool, float]], wanted: float
-) -> None:
+def test_the_threshold_is_the_lowest_that_keeps_its_word(cases: list[tuple[float, bool, float]], wanted: float) -> None:
     sure, right, weight = (np.array(column) for column in zip(*cases, strict=True))
     good = [
-        limit
-        for limit in set(sure)
-        if (weight * right)[sure >= limit].sum() >= wanted * weight[sure >= limit].sum()
+        limit for limit in set(sure) if (weight * right)[sure >= limit].sum() >= wanted * weight[sure >= limit].sum()
     ]
     found = threshold(judged(sure, right, weight), wanted)
     assert found == (min(good) if good else sure.max())

@@ -74,8 +74,7 @@ def test_what_is_less_sure_than_asked_is_unknown(city: Index, tmp_path: Path) ->
 def test_a_calibrated_model_brings_its_own_radius_and_limit(city: Index, tmp_path: Path) -> None:
     photo = tmp_path / "3.png"
     plain, calibrated = (
-        locate(photo, index=city, model=model, min_confidence=0.0)
-        for model in (FakeDescriber(), Calibrated())
+        locate(photo, index=city, model=model, min_confidence=0.0) for model in (FakeDescriber(), Calibrated())
     )
     assert plain.place is not None
     assert calibrated.place is not None
@@ -86,9 +85,7 @@ def test_a_calibrated_model_brings_its_own_radius_and_limit(city: Index, tmp_pat
 
 def test_a_model_calibrated_on_centred_scores_is_searched_by_them(city: Index, tmp_path: Path) -> None:
     photo = tmp_path / "3.png"
-    due, plain = (
-        city.search(FakeDescriber().describe([photo]), k=6, centred=centred)[0] for centred in (True, False)
-    )
+    due, plain = (city.search(FakeDescriber().describe([photo]), k=6, centred=centred)[0] for centred in (True, False))
     assert due != plain
     for model, matches in ((Centred(), due), (Calibrated(), plain), (FakeDescriber(), plain)):
         assert locate(photo, index=city, model=model, k=6).matches == matches

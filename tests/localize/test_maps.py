@@ -147,9 +147,7 @@ def test_kml_says_unknown() -> None:
 # --- GPX -----------------------------------------------------------------------------------
 
 
-def track(
-    answers: list[salad.Answer], times: list[datetime | None]
-) -> list[tuple[str, GeoPoint, str | None]]:
+def track(answers: list[salad.Answer], times: list[datetime | None]) -> list[tuple[str, GeoPoint, str | None]]:
     """Name, place and time of each point of the track that is written."""
     root = ElementTree.fromstring(maps.as_gpx(answers, times))
     assert root.get("version") == "1.1"

@@ -201,16 +201,12 @@ def test_a_street_of_photos_is_cut_into_places(count: int) -> None:
 # --- How sure a place is: monotone in all that speaks for it, and a probability ---
 
 weights = st.floats(0, 50)
-calibrations = st.builds(
-    Calibration, bias=st.floats(-50, 50), top=weights, gap=weights, spread=weights, share=weights
-)
+calibrations = st.builds(Calibration, bias=st.floats(-50, 50), top=weights, gap=weights, spread=weights, share=weights)
 evidences = st.builds(Evidence, st.floats(-1, 1), st.floats(-2, 2), st.floats(0, 1), st.floats(0, 1))
 
 
 @given(calibrations, evidences, st.sampled_from(Evidence._fields), st.floats(0, 2))
-def test_better_evidence_never_lowers_confidence(
-    by: Calibration, given_: Evidence, which: str, more: float
-) -> None:
+def test_better_evidence_never_lowers_confidence(by: Calibration, given_: Evidence, which: str, more: float) -> None:
     sign = -1 if which == "spread" else 1
     better = given_._replace(**{which: getattr(given_, which) + sign * more})
     assert 0 <= confidence(given_, by) <= confidence(better, by) <= 1
@@ -234,9 +230,7 @@ def test_confidence_is_the_logistic_function(by: Calibration, given_: Evidence) 
 
 
 def test_evidence_is_what_its_words_say() -> None:
-    everyone = weighted_matches(
-        [at(0.9, 0, 0, 0), at(0.8, 0, 0, 1), at(0.7, 100, 0, 2), match(0.6, None, 3)], 10.0
-    )
+    everyone = weighted_matches([at(0.9, 0, 0, 0), at(0.8, 0, 0, 1), at(0.7, 100, 0, 2), match(0.6, None, 3)], 10.0)
     place = Group(everyone[:2], [])
     found = evidence(place, everyone, TOWN)
     assert found.top == 0.9

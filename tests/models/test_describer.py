@@ -20,7 +20,7 @@ import salad
 from salad.errors import ModelError, PhotoError, TooFewTokensError
 from salad.models.describer import Describer
 from salad.network.aggregator_config import RouteConfig, SaladConfig
-from salad.network.aggregators.route import Route
+from salad.network.aggregators.salad_layout import Route
 from salad.network.baseline_config import SceneConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
 from salad.network.network import build
@@ -74,18 +74,12 @@ def test_a_batch_of_one_is_the_same_row_of_a_batch(model: Describer) -> None:
     for row in (0, 5, 10):
         torch.testing.assert_close(model(images[row : row + 1])[0], together[row], rtol=0, atol=1e-5)
     photos = [_pixels(seed) for seed in range(5)]
-    np.testing.assert_allclose(
-        model.describe(photos, batch_size=5), model.describe(photos, batch_size=1), atol=1e-5
-    )
+    np.testing.assert_allclose(model.describe(photos, batch_size=5), model.describe(photos, batch_size=1), atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("given_", "used"), [((50, 61), (56, 56)), ((42, 64), (42, 70)), ((48, 100), (42, 98))]
-)
+@pytest.mark.parametrize(("given_", "used"), [((50, 61), (56, 56)), ((42, 64), (42, 70)), ((48, 100), (42, 98))])
 @torch.no_grad()
-def test_a_side_that_is_no_multiple_is_rounded_to_the_nearest(
-    given_: tuple[int, int], used: tuple[int, int]
-) -> None:
+def test_a_side_that_is_no_multiple_is_rounded_to_the_nearest(given_: tuple[int, int], used: tuple[int, int]) -> None:
     model, images = made(VIT), _images(2, *given_)
     by_hand = F.interpolate(images, size=used, mode="bilinear", antialias=True)
     assert model.network.tokens(images).grid == (used[0] // 14, used[1] // 14)
@@ -112,9 +106,7 @@ def test_photos_need_not_be_square(model: Describer) -> None:
 
 @torch.no_grad()
 def test_images_too_small_for_the_clusters_name_the_side_that_works() -> None:
-    config = dataclasses.replace(
-        VIT, aggregator=SaladConfig(16, clusters=64, cluster_dim=2, scene_dim=2, hidden=4)
-    )
+    config = dataclasses.replace(VIT, aggregator=SaladConfig(16, clusters=64, cluster_dim=2, scene_dim=2, hidden=4))
     model = made(config)
     with pytest.raises(TooFewTokensError, match=r"64 tokens, but 64 clusters .* at least 126 x 126"):
         model(_images(1, 112, 112))
@@ -224,13 +216,10 @@ def test_a_route_shares_as_its_salad_does() -> None:
         made(dataclasses.replace(VIT, aggregator=RouteConfig(16, salad=VIT.aggregator))),
     )
     weights = {
-        key.replace("aggregator.", "aggregator.salad."): value
-        for key, value in model.network.state_dict().items()
+        key.replace("aggregator.", "aggregator.salad."): value for key, value in model.network.state_dict().items()
     }
     route.network.load_state_dict(weights, strict=False)
-    for mine, theirs in zip(
-        route.token_assignment(_pixels(7)), model.token_assignment(_pixels(7)), strict=True
-    ):
+    for mine, theirs in zip(route.token_assignment(_pixels(7)), model.token_assignment(_pixels(7)), strict=True):
         np.testing.assert_array_equal(mine, theirs)
 
 

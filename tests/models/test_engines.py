@@ -116,9 +116,7 @@ class TestContract:
             "channels first": np.moveaxis(sound, 3, 1),
         }[change]
         height, width = engine.size
-        with pytest.raises(
-            ModelError, match=rf"cannot be run: this model takes uint8 \[batch, {height}, {width}, 3"
-        ):
+        with pytest.raises(ModelError, match=rf"cannot be run: this model takes uint8 \[batch, {height}, {width}, 3"):
             engine.run(bad)
 
     def test_an_output_there_is_not_is_named(self, engine: Engine) -> None:

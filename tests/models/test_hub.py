@@ -137,9 +137,7 @@ class TestTable:
     def test_rows(self) -> None:
         assert all(row.name == name for name, row in ZOO.items())
         dinov2 = {f"dinov2-vit{size}14{kind}" for size in "sblg" for kind in ("", "-reg")}
-        assert (
-            set(ZOO) == {"salad-lite", "salad-lite-route", "salad-vits", "dinov2-salad", "megaloc"} | dinov2
-        )
+        assert set(ZOO) == {"salad-lite", "salad-lite-route", "salad-vits", "dinov2-salad", "megaloc"} | dinov2
         for row in ZOO.values():
             assert row.licence
             assert row.note
@@ -151,9 +149,7 @@ class TestTable:
     def test_a_register_backbone(self) -> None:
         row = hub.entry("dinov2-vitb14-reg")
         assert (row.dim, row.file) == (768, "dinov2_vitb14_reg4_pretrain.pth")
-        assert (
-            row.url == "https://dl.fbaipublicfiles.com/dinov2/dinov2_vitb14/dinov2_vitb14_reg4_pretrain.pth"
-        )
+        assert row.url == "https://dl.fbaipublicfiles.com/dinov2/dinov2_vitb14/dinov2_vitb14_reg4_pretrain.pth"
 
     def test_an_unknown_name(self) -> None:
         with pytest.raises(
@@ -273,9 +269,7 @@ class TestResume:
                 fetch("tiny")
         assert fetch("tiny").read_bytes() == BODY
 
-    def test_a_server_without_ranges_starts_over(
-        self, tiny: ZooEntry, server: Published, cache: Path
-    ) -> None:
+    def test_a_server_without_ranges_starts_over(self, tiny: ZooEntry, server: Published, cache: Path) -> None:
         leave_part(cache, BODY[:500])
         server.ranges = False
         assert fetch("tiny").read_bytes() == BODY
@@ -293,9 +287,7 @@ class TestResume:
         assert fetch("tiny").read_bytes() == BODY
         assert server.asked[-1]["If-Range"] == server.modified
 
-    def test_a_server_that_says_nothing_of_versions(
-        self, tiny: ZooEntry, server: Published, cache: Path
-    ) -> None:
+    def test_a_server_that_says_nothing_of_versions(self, tiny: ZooEntry, server: Published, cache: Path) -> None:
         server.tag = None
         leave_part(cache, BODY[:500])
         assert fetch("tiny").read_bytes() == BODY
@@ -347,9 +339,7 @@ class TestChecksum:
         with pytest.raises(WeightsError, match="where 0000"):
             fetch("tiny", opener=offline)
 
-    def test_a_cache_that_cannot_be_written(
-        self, tiny: ZooEntry, cache: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_cache_that_cannot_be_written(self, tiny: ZooEntry, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def refuse(*_: Any) -> None:
             raise PermissionError("read-only")
 

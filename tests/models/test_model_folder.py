@@ -172,9 +172,7 @@ def test_a_config_of_another_shape_is_told_by_tensor(folder: Path) -> None:
     data = json.loads((folder / "config.json").read_text())
     data["aggregator"]["clusters"] = 3
     (folder / "config.json").write_text(json.dumps(data))
-    with pytest.raises(
-        WeightsError, match=r"of another shape: aggregator\.score\.3\.bias, aggregator\.score"
-    ):
+    with pytest.raises(WeightsError, match=r"of another shape: aggregator\.score\.3\.bias, aggregator\.score"):
         load(folder)
 
 
@@ -190,9 +188,7 @@ def test_numbers_that_arrays_have_no_type_for_are_a_sentence(folder: Path) -> No
     path = folder / "model.safetensors"
     path.unlink()
     save_file({"aggregator.dustbin": torch.ones(3, dtype=torch.bfloat16)}, path)
-    with pytest.raises(
-        WeightsError, match=r"model\.safetensors holds numbers of a type that is not known here"
-    ):
+    with pytest.raises(WeightsError, match=r"model\.safetensors holds numbers of a type that is not known here"):
         load(folder)
 
 
@@ -303,9 +299,7 @@ def test_zoo_names_lead_to_fetched_files_and_bundled_folders(
 
 
 def test_whoever_may_read_the_config_may_read_the_weights(tmp_path: Path) -> None:
-    folder = write_folder(
-        build(ModelConfig("tiny", LiteConfig(blocks=1), SceneConfig(16))), tmp_path / "model"
-    )
+    folder = write_folder(build(ModelConfig("tiny", LiteConfig(blocks=1), SceneConfig(16))), tmp_path / "model")
     modes = {path.stat().st_mode & 0o777 for path in folder.iterdir()}
     assert len(modes) == 1
 
@@ -348,9 +342,7 @@ def test_what_is_no_model_takes_none(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_on_a_full_disk_the_old_one_stays(
-    model: Describer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_a_full_disk_the_old_one_stays(model: Describer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = write_folder(model, tmp_path / "m")
     write_calibration(folder, MINE)
 

@@ -63,9 +63,7 @@ def test_it_is_trained_for_ten_steps_kept_and_read_back(
     model = salad.load(folder)
     assert model.config == config
     untrained, trained = build(config).state_dict(), model.network.state_dict()
-    assert not np.allclose(
-        trained["aggregator.narrow.weight"], untrained["aggregator.narrow.weight"], atol=1e-4
-    )
+    assert not np.allclose(trained["aggregator.narrow.weight"], untrained["aggregator.narrow.weight"], atol=1e-4)
     rows = model.describe([np.full((32, 32, 3), level, np.uint8) for level in (0, 200)])
     assert rows.shape == (2, 16)
     np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-6)
@@ -114,6 +112,4 @@ def test_an_installed_package_is_found_by_its_entry_point(
     points.write_text("[salad.aggregators]\nmean-max = mean_max:MeanMaxConfig\n", encoding="utf-8")
     assert load().stdout.strip() == build(config).fingerprint
     points.write_text("[salad.aggregators]\nmean-max = gone:MeanMaxConfig\n", encoding="utf-8")
-    assert (
-        "'mean-max' is gone:MeanMaxConfig, which cannot be imported: No module named 'gone'" in load().stderr
-    )
+    assert "'mean-max' is gone:MeanMaxConfig, which cannot be imported: No module named 'gone'" in load().stderr

@@ -19,7 +19,7 @@ from salad.network.aggregator_config import AggregatorConfig, RouteConfig, Salad
 from salad.network.aggregators.base import build_aggregator
 from salad.network.aggregators.netvlad import NetVlad
 from salad.network.aggregators.pooling import Gem
-from salad.network.aggregators.route import Route
+from salad.network.aggregators.salad_layout import Route
 from salad.network.aggregators.vlad import Vlad
 from salad.network.baseline_config import (
     AverageConfig,
@@ -55,9 +55,7 @@ CASES: dict[str, AggregatorConfig] = {
     "boq": BoqConfig(5, channels=4, queries=3, blocks=2, rows=2, heads=2),
     "route": RouteConfig(5, salad=SALAD, grid=2, cell_dim=3, weight=0.7),
 }
-PLACELESS = [
-    name for name in CASES if name not in {"mixvpr", "conv-ap", "route"}
-]  # blind to where a token is
+PLACELESS = [name for name in CASES if name not in {"mixvpr", "conv-ap", "route"}]  # blind to where a token is
 DEAF = {"scene", "average", "gem", "vlad"}  # nothing to train
 
 
@@ -195,9 +193,7 @@ def test_vlad_gives_each_token_to_the_nearest_word() -> None:
     assert isinstance(model, Vlad)
     for row, patches in enumerate(tokens.patches):
         units = torch.stack([_unit(token) for token in patches])
-        nearest = [
-            min(range(3), key=lambda word: float((unit - model.vocabulary[word]).norm())) for unit in units
-        ]
+        nearest = [min(range(3), key=lambda word: float((unit - model.vocabulary[word]).norm())) for unit in units]
         belongs = torch.tensor([[float(word == of) for word in range(3)] for of in nearest])
         assert len(set(nearest)) > 1
         torch.testing.assert_close(model(tokens)[row], _residuals_by_hand(units, belongs, model.vocabulary))
@@ -260,9 +256,7 @@ def test_cosplace_is_gem_and_a_linear_layer() -> None:
     tokens = _tokens()
     pooled = tokens.patches.clamp(min=1e-6).pow(3).mean(dim=1).pow(1 / 3)
     for row in range(2):
-        torch.testing.assert_close(
-            model(tokens)[row], _unit(model.linear.weight @ pooled[row] + model.linear.bias)
-        )
+        torch.testing.assert_close(model(tokens)[row], _unit(model.linear.weight @ pooled[row] + model.linear.bias))
 
 
 @torch.no_grad()

@@ -143,9 +143,7 @@ def test_a_model_with_itself_is_that_model_and_stays_as_it_is() -> None:
 def test_the_mean_says_of_what_it_is_and_leaves_the_calibration() -> None:
     models = _models(2)
     made = mean(models)
-    assert made.config.provenance == (
-        f"the mean of tiny ({models[0].fingerprint}), tiny ({models[1].fingerprint})"
-    )
+    assert made.config.provenance == (f"the mean of tiny ({models[0].fingerprint}), tiny ({models[1].fingerprint})")
     assert made.config == dataclasses.replace(CONFIG, provenance=made.config.provenance, calibration=None)
     assert not made.training
 

@@ -85,9 +85,7 @@ aggregators = (
     | st.builds(CosPlaceConfig, few, few, st.floats(1, 9))
     | few.flatmap(lambda heads: st.builds(BoqConfig, few, st.just(3 * heads), few, few, few, st.just(heads)))
 )
-preparations = st.builds(
-    Preprocessing, few, few, channels, channels, st.sampled_from(["bilinear", "bicubic"])
-)
+preparations = st.builds(Preprocessing, few, few, channels, channels, st.sampled_from(["bilinear", "bicubic"]))
 weights = st.floats(0, 1e6)
 calibrations = st.builds(
     Calibration,

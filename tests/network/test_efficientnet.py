@@ -197,7 +197,5 @@ def test_imagenets_weights_fit_key_by_key(kind: LiteKind, blocks: int, width: in
     fresh = {key: value.clone() for key, value in model.backbone.state_dict().items()}
     start_backbone(model, "imagenet")  # refuses if any tensor is missing or of another shape
     started = model.backbone.state_dict()
-    kept = [
-        key for key, value in started.items() if value.is_floating_point() and torch.equal(value, fresh[key])
-    ]
+    kept = [key for key, value in started.items() if value.is_floating_point() and torch.equal(value, fresh[key])]
     assert kept == []

@@ -61,9 +61,7 @@ def _torchvision(stages: int) -> dict[str, Tensor]:
         narrow, out = 64 * 2 ** (stage - 1), 256 * 2 ** (stage - 1)
         for block in range(BLOCKS[stage - 1]):
             name = f"layer{stage}.{block}"
-            for number, (a, b, side) in enumerate(
-                ((inside, narrow, 1), (narrow, narrow, 3), (narrow, out, 1)), 1
-            ):
+            for number, (a, b, side) in enumerate(((inside, narrow, 1), (narrow, narrow, 3), (narrow, out, 1)), 1):
                 convolution(f"{name}.conv{number}", a, b, side)
                 norm(f"{name}.bn{number}", b)
             if block == 0:
@@ -135,9 +133,7 @@ def test_its_own_names_fill_it_with_and_without_what_stands_before_them(
     before: str, resnet: tuple[ResNet, dict[str, Tensor]]
 ) -> None:
     model, _ = resnet
-    theirs = {before + key: value for key, value in model.state_dict().items()} | {
-        "classifier.1.bias": torch.zeros(3)
-    }
+    theirs = {before + key: value for key, value in model.state_dict().items()} | {"classifier.1.bias": torch.zeros(3)}
     torch.testing.assert_close(own_names(model, theirs), dict(model.state_dict()))
 
 
@@ -148,9 +144,7 @@ def _convnext_by_hand(weights: dict[str, Tensor], images: Tensor, depths: list[i
     """Tokens `[batch, n, channels]` of the paper's network, cells last but one."""
 
     def norm(x: Tensor, name: str) -> Tensor:
-        level = (x - x.mean(dim=-1, keepdim=True)) / (
-            x.var(dim=-1, unbiased=False, keepdim=True) + 1e-6
-        ).sqrt()
+        level = (x - x.mean(dim=-1, keepdim=True)) / (x.var(dim=-1, unbiased=False, keepdim=True) + 1e-6).sqrt()
         return level * weights[f"{name}.weight"] + weights[f"{name}.bias"]
 
     def filtered(x: Tensor, name: str, **how: Any) -> Tensor:
@@ -158,9 +152,7 @@ def _convnext_by_hand(weights: dict[str, Tensor], images: Tensor, depths: list[i
         maps = F.conv2d(x.permute(0, 3, 1, 2), weights[f"{name}.weight"], weights[f"{name}.bias"], **how)
         return maps.permute(0, 2, 3, 1)
 
-    x = norm(
-        filtered(images.permute(0, 2, 3, 1), "embeddings.patch_embeddings", stride=4), "embeddings.layernorm"
-    )
+    x = norm(filtered(images.permute(0, 2, 3, 1), "embeddings.patch_embeddings", stride=4), "embeddings.layernorm")
     for stage, depth in enumerate(depths):
         name = f"encoder.stages.{stage}"
         if stage:
@@ -189,9 +181,7 @@ def test_convnext_is_the_papers_network() -> None:
 
 def test_a_whole_convnexts_norm_is_not_that_of_a_cut_one() -> None:
     cut = ConvNext(ConvNextConfig(stages=1))
-    theirs = {
-        f"convnext.{key}": value for key, value in cut.state_dict().items() if not key.startswith("norm.")
-    }
+    theirs = {f"convnext.{key}": value for key, value in cut.state_dict().items() if not key.startswith("norm.")}
     theirs |= {"classifier.bias": torch.zeros(3)}
     own = {f"convnext.layernorm.{part}": torch.full((96,), 3.0) for part in ("weight", "bias")}
     others = {key: torch.zeros(768) for key in own}

@@ -21,8 +21,7 @@ from salad.network.aggregators.salad import Salad
 from salad.network.tokens import Tokens
 
 sinkhorn_assign, softmax, dual_softmax = (
-    jaxtyped(typechecker=beartype)(each)
-    for each in (sinkhorn.sinkhorn_assign, sinkhorn.softmax, sinkhorn.dual_softmax)
+    jaxtyped(typechecker=beartype)(each) for each in (sinkhorn.sinkhorn_assign, sinkhorn.softmax, sinkhorn.dual_softmax)
 )
 BASE = SaladConfig(6, clusters=3, cluster_dim=4, scene_dim=5, hidden=7)
 
@@ -49,9 +48,7 @@ def _exponentials(scores: Tensor, dustbin: float | None) -> np.ndarray:
 
 def _tokens(seed: int = 0, tokens: int = 12) -> Tokens:
     made = torch.Generator().manual_seed(seed)
-    return Tokens(
-        torch.randn(2, tokens, 6, generator=made), torch.randn(2, 6, generator=made), (1, tokens), 14
-    )
+    return Tokens(torch.randn(2, tokens, 6, generator=made), torch.randn(2, 6, generator=made), (1, tokens), 14)
 
 
 def _salad(**change: object) -> Salad:
@@ -61,9 +58,7 @@ def _salad(**change: object) -> Salad:
 
 
 @given(sizes, seeds, dustbins)
-def test_softmax_shares_each_token_by_itself(
-    size: tuple[int, int, int], seed: int, dustbin: float | None
-) -> None:
+def test_softmax_shares_each_token_by_itself(size: tuple[int, int, int], seed: int, dustbin: float | None) -> None:
     scores = _scores(size, seed)
     plan = softmax(scores, _bin(dustbin)).numpy()
     for photo, found in zip(scores, plan, strict=True):
@@ -73,9 +68,7 @@ def test_softmax_shares_each_token_by_itself(
 
 
 @given(sizes, seeds, dustbins)
-def test_dual_softmax_is_the_product_of_both(
-    size: tuple[int, int, int], seed: int, dustbin: float | None
-) -> None:
+def test_dual_softmax_is_the_product_of_both(size: tuple[int, int, int], seed: int, dustbin: float | None) -> None:
     scores = _scores(size, seed)
     for photo, found in zip(scores, dual_softmax(scores, _bin(dustbin)).numpy(), strict=True):
         powers = _exponentials(photo, dustbin)
@@ -120,9 +113,9 @@ def test_a_variant_sums_features_by_its_own_plan(transport_: str, dustbin: bool,
     model = _salad(transport=transport_, dustbin=dustbin, scene_dim=scene_dim)
     tokens = _tokens()
     scores, score = model.score(tokens.patches).transpose(1, 2), torch.tensor(1.0) if dustbin else None
-    plan = {"sinkhorn": sinkhorn.sinkhorn_assign, "softmax": softmax, "dual-softmax": dual_softmax}[
-        transport_
-    ](scores, score)
+    plan = {"sinkhorn": sinkhorn.sinkhorn_assign, "softmax": softmax, "dual-softmax": dual_softmax}[transport_](
+        scores, score
+    )
     torch.testing.assert_close(model.plan(tokens), plan)
     assert plan.shape[1] == 3 + dustbin
     for row, features in enumerate(model.feature(tokens.patches)):

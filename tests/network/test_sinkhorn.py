@@ -66,9 +66,7 @@ def test_a_dustbin_that_wants_the_papers_share_is_the_papers(size: tuple[int, in
 
 @quick
 @given(sizes, seeds, st.floats(0.01, 0.99), st.integers(1, 3))
-def test_a_dustbin_takes_the_share_it_wants(
-    size: tuple[int, int, int], seed: int, wants: float, times: int
-) -> None:
+def test_a_dustbin_takes_the_share_it_wants(size: tuple[int, int, int], seed: int, wants: float, times: int) -> None:
     """However many tokens there are, fewer than clusters too, once the plan is finished."""
     scores = _scores(size, seed, scale=1.0)[:, :, :: 2 * times]
     plan = sinkhorn_assign(scores, torch.tensor(1.0, dtype=torch.float64), wants=wants, iterations=1000)
@@ -142,9 +140,7 @@ def test_sharp_scores_find_the_best_of_all_assignments(seed: int) -> None:
     log_rows = torch.tensor([1.0, 1.0, tokens - clusters], dtype=torch.float64).log()
     flat = torch.zeros(tokens, dtype=torch.float64)
     plan = sinkhorn(200 * augmented[None], log_rows, flat, iterations=3000)[0].exp()
-    best = max(
-        itertools.permutations(range(tokens), clusters), key=lambda t: float(scores[range(2), t].sum())
-    )
+    best = max(itertools.permutations(range(tokens), clusters), key=lambda t: float(scores[range(2), t].sum()))
     expected = torch.zeros(3, tokens, dtype=torch.float64)
     for cluster, token in enumerate(best):
         expected[cluster, token] = 1
@@ -160,9 +156,7 @@ def test_three_rounds_are_not_the_end() -> None:
 
 @quick
 @given(sizes, seeds, st.floats(-20, 20))
-def test_the_first_round_absorbs_the_height_of_a_row(
-    size: tuple[int, int, int], seed: int, more: float
-) -> None:
+def test_the_first_round_absorbs_the_height_of_a_row(size: tuple[int, int, int], seed: int, more: float) -> None:
     """Only what differs from token to token counts: so the dustbin's one number decides nothing by itself."""
     scores = _scores(size, seed)
     plan = sinkhorn_assign(scores, torch.tensor(1.0, dtype=torch.float64))
@@ -193,9 +187,7 @@ def test_it_is_computed_in_float32_whatever_autocast_says(dtype: torch.dtype) ->
     torch.testing.assert_close(plan, expected, rtol=0, atol=0)
 
 
-@pytest.mark.parametrize(
-    ("clusters", "stride", "side"), [(64, 14, 126), (32, 14, 84), (16, 14, 70), (32, 16, 96)]
-)
+@pytest.mark.parametrize(("clusters", "stride", "side"), [(64, 14, 126), (32, 14, 84), (16, 14, 70), (32, 16, 96)])
 def test_too_few_tokens_name_the_smallest_side_that_works(clusters: int, stride: int, side: int) -> None:
     dustbin = torch.tensor(1.0)
     below, enough = ((side // stride - 1) ** 2, (side // stride) ** 2)

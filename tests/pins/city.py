@@ -53,9 +53,7 @@ def photos() -> list[salad.Photo]:
     for number, name in enumerate((*NAMES, os.fsdecode(b"k\xff.jpg"), "twin of b.jpg")):
         time = datetime(2024, 5, 1 + number, 12, 30, tzinfo=EAST if number % 3 == 0 else None)
         where = None if number == 4 else salad.GeoPoint(HOME[0] + 0.001 * number, HOME[1])
-        made.append(
-            salad.Photo(Path("/photos", name), where, None if number == 7 else 40.0 * number % 360, time)
-        )
+        made.append(salad.Photo(Path("/photos", name), where, None if number == 7 else 40.0 * number % 360, time))
     return made
 
 
@@ -109,8 +107,6 @@ if __name__ == "__main__":
     if CITY.exists():
         raise SystemExit(f"{CITY} is there: it is frozen, and made anew it would hold nothing")
     RECORDED.mkdir(exist_ok=True)
-    np.save(
-        RECORDED / "city_queries.npy", MODEL.describe([street(number, seed=1) for number in (0, 1, 3, 9, 77)])
-    )
+    np.save(RECORDED / "city_queries.npy", MODEL.describe([street(number, seed=1) for number in (0, 1, 3, 9, 77)]))
     make(CITY)
     (RECORDED / "city.json").write_text(json.dumps(answers(CITY), indent=1) + "\n", encoding="utf-8")

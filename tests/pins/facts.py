@@ -65,9 +65,7 @@ def _default(told: str) -> str:
 
 def settings() -> dict[str, Any]:
     """Every setting of a model and of a run, with its default as JSON would hold it."""
-    kinds: dict[str, Any] = {
-        f"aggregator {kind}": where.aggregator_kind(kind) for kind in where.AGGREGATOR_KINDS
-    }
+    kinds: dict[str, Any] = {f"aggregator {kind}": where.aggregator_kind(kind) for kind in where.AGGREGATOR_KINDS}
     kinds |= {f"backbone {kind}": one for kind, one in where.BACKBONE_KINDS.items()}
     kinds |= {
         "model": ModelConfig,
@@ -75,10 +73,7 @@ def settings() -> dict[str, Any]:
         "calibration": where.Calibration,
         "recipe": Recipe,
     }
-    return {
-        name: {field.name: _plain(field) for field in dataclasses.fields(kind)}
-        for name, kind in kinds.items()
-    }
+    return {name: {field.name: _plain(field) for field in dataclasses.fields(kind)} for name, kind in kinds.items()}
 
 
 def _plain(field: dataclasses.Field[Any]) -> Any:
@@ -89,16 +84,10 @@ def _plain(field: dataclasses.Field[Any]) -> Any:
 
 def written() -> dict[str, Any]:
     """How each named aggregator is written down, wide and narrow; a setting that came later only where it is set."""
-    of = {
-        f"{name} {width}": made
-        for width in (120, 768)
-        for name, made in where.compared_aggregators(width).items()
-    }
+    of = {f"{name} {width}": made for width in (120, 768) for name, made in where.compared_aggregators(width).items()}
     of["later"] = where.SaladConfig(120, dustbin_share=0.35)
     by = where.Calibration(centred=True)
-    return {
-        name: ModelConfig(name, where.LiteConfig(), one, calibration=by).as_dict() for name, one in of.items()
-    }
+    return {name: ModelConfig(name, where.LiteConfig(), one, calibration=by).as_dict() for name, one in of.items()}
 
 
 def presets() -> dict[str, Any]:
@@ -129,9 +118,7 @@ def models() -> dict[str, Any]:
 
 def zoo() -> dict[str, Any]:
     """The models of the zoo and the protocols of benchmarks, by name."""
-    lists = {
-        name: json.loads(salad_says(name, "list", "--format", "json").out) for name in ("weights", "datasets")
-    }
+    lists = {name: json.loads(salad_says(name, "list", "--format", "json").out) for name in ("weights", "datasets")}
     facts = ("references", "queries", "right when", "unanswerable", "layouts")
     return {
         "weights": {one["name"]: one["licence"] for one in lists["weights"]},
@@ -186,9 +173,7 @@ def draw_streets(home: Path) -> tuple[Path, Path]:
         for side, count in (("references", 8), ("queries", 3)):
             for number in range(count):
                 lat = 48.1 + (number * apart + 300 * (number // 4)) / 111_000
-                lines.append(
-                    f"{side}/{number}.png,{lat:.6f},11.5,{10 * number},2024-05-0{number + 1}T12:00:00\n"
-                )
+                lines.append(f"{side}/{number}.png,{lat:.6f},11.5,{10 * number},2024-05-0{number + 1}T12:00:00\n")
         tables[-1].write_text("".join(lines), encoding="utf-8")
     for side, seed, count in (("references", 0, 8), ("queries", 1, 3)):
         (home / side).mkdir()

@@ -58,9 +58,7 @@ class TestCommand:
     """`salad` itself: exit codes 0, 1 (nothing found) and 2 (bad input)."""
 
     def test_in_a_process_of_its_own(self, tmp_path: Path) -> None:
-        project = tomllib.loads(
-            Path(__file__).parents[2].joinpath("pyproject.toml").read_text(encoding="utf-8")
-        )
+        project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text(encoding="utf-8"))
         room, _, name = project["project"]["scripts"]["salad"].partition(":")
         assert getattr(import_module(room), name) is main
         for code, *arguments in (

@@ -71,9 +71,7 @@ def matches(
     index: salad.Index, queries: Floats, *, k: int, where: Filter | None = None, centred: bool = False
 ) -> tuple[Floats, Floats]:
     found = index.search(queries, k=k, where=where, centred=centred)
-    return tuple(
-        np.array([[getattr(one, name) for one in best] for best in found]) for name in ("row", "score")
-    )
+    return tuple(np.array([[getattr(one, name) for one in best] for best in found]) for name in ("row", "score"))
 
 
 def same(found: tuple[Floats, Floats], wanted: tuple[Floats, Floats], *, within: float = 1e-9) -> None:
@@ -151,21 +149,15 @@ class TestJudging:
         found = nearest(Held(queries), Held(held), k=k, centred=centred)
         assert found.scores is not None
         order, scores = oracle(queries, held.astype(np.float64), k=k, mean=mean)
-        first = slice(
-            None, 100
-        )  # of thousands of scores two may differ by less than a float32 query is rounded
+        first = slice(None, 100)  # of thousands of scores two may differ by less than a float32 query is rounded
         within = 2e-7 * length if centred else 1e-9
-        same(
-            (found.rows[:, first], found.scores[:, first]), (order[:, first], scores[:, first]), within=within
-        )
+        same((found.rows[:, first], found.scores[:, first]), (order[:, first], scores[:, first]), within=within)
         assert found.rows.shape == (40, min(k, MANY))
         assert (np.sort(found.rows, axis=1)[:, :1] >= 0).all()
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
     @pytest.mark.parametrize("centred", [False, True])
-    def test_what_is_not_finite_is_an_error(
-        self, rows: Floats, queries: Floats, bad: float, centred: bool
-    ) -> None:
+    def test_what_is_not_finite_is_an_error(self, rows: Floats, queries: Floats, bad: float, centred: bool) -> None:
         broken = rows.copy()
         broken[4321, 7] = bad
         with pytest.raises(BenchmarkError, match="reference 4321"):

@@ -28,9 +28,7 @@ def test_a_page_shows_what_the_dustbin_took(tmp_path: Path) -> None:
     draw_streets(tmp_path)
     folders = ("--references", tmp_path / "references", "--queries", tmp_path / "queries")
     truth, page, result = tmp_path / "truth.csv", tmp_path / "page.html", tmp_path / "result.json"
-    truth.write_text(
-        "query,positives\n" + "".join(f"{n}.png,{7 - n}.png\n" for n in range(3)), encoding="utf-8"
-    )
+    truth.write_text("query,positives\n" + "".join(f"{n}.png,{7 - n}.png\n" for n in range(3)), encoding="utf-8")
     judged = salad_says("evaluate", *folders, "--truth", truth, "--report", page, "--save", result)
     assert judged.code == 0, judged.err
     assert "data:image/png;base64" in page.read_text(encoding="utf-8")
@@ -46,9 +44,7 @@ def test_a_model_shares_its_tokens_out(model: salad.Describer) -> None:
         share = model.share(street(1))
     assert share.dustbin.shape == share.cluster.shape == (20, 20)
     assert share.dustbin.dtype == np.float32
-    assert (
-        abs(float(share.dustbin.mean()) - 0.35) < 0.05
-    )  # what the shipped model's dustbin wants of all tokens
+    assert abs(float(share.dustbin.mean()) - 0.35) < 0.05  # what the shipped model's dustbin wants of all tokens
     assert (share.cluster.min() >= 0, share.cluster.max() < 128) == (True, True)
 
 
@@ -80,8 +76,7 @@ def test_judging_leaves_out_what_all_have_in_common_where_the_model_says_so(tmp_
     table, _ = draw_streets(tmp_path)
     folders = ("--references", tmp_path / "references", "--queries", tmp_path / "queries")
     said = [
-        salad_says("evaluate", *folders, "--radius", 25, "--table", table, *more).err
-        for more in ((), ("--plain",))
+        salad_says("evaluate", *folders, "--radius", 25, "--table", table, *more).err for more in ((), ("--plain",))
     ]
     assert ["what all references have in common" in one for one in said] == [True, False]
 

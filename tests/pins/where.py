@@ -84,9 +84,7 @@ def gone(before: Any, now: Any, at: str = "") -> list[str]:
     """What is no longer there, or is another now, as paths through the JSON; what is new in `now` is welcome."""
     if isinstance(before, dict) and isinstance(now, dict):
         lost = [f"{at}/{key}" for key in before if key not in now]
-        return lost + [
-            each for key in before if key in now for each in gone(before[key], now[key], f"{at}/{key}")
-        ]
+        return lost + [each for key in before if key in now for each in gone(before[key], now[key], f"{at}/{key}")]
     return [] if before == now else [f"{at}: {before!r} is {now!r}"]
 
 

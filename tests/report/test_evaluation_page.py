@@ -40,9 +40,7 @@ class Sheet(Page):
 
     def marks(self) -> dict[str, int]:
         """How many queries of each kind are marked by themselves."""
-        found = Counter(
-            (attrs["class"] or "").split()[1] for tag in ("a", "g") for attrs in self.all(tag, "query")
-        )
+        found = Counter((attrs["class"] or "").split()[1] for tag in ("a", "g") for attrs in self.all(tag, "query"))
         return {kind: found[kind] for kind in mistakes.OUTCOMES}
 
 
@@ -77,9 +75,7 @@ def make(tmp_path: Path) -> Make:
             "set", protocol, sides[0], sides[1], right, ("a note",), groups=tuple(groups) if groups else None
         )
         ranked = Ranked(rows, scores if scored else None)
-        return judge(
-            set_, ranked, EvalSettings((1, 2), times=40), model="mine", fingerprint="f1", seconds=1.25
-        )
+        return judge(set_, ranked, EvalSettings((1, 2), times=40), model="mine", fingerprint="f1", seconds=1.25)
 
     return make
 
@@ -234,9 +230,7 @@ def test_photos_that_are_gone_are_said(make: Make, tmp_path: Path) -> None:
     assert "2 of " in gone[0]
     assert "the first 3.jpg" in gone[0]  # the surer of the two
     page = Sheet(text)
-    assert (
-        len(page.all("span", "picture", "gone")) == 3
-    )  # two photos, and what the unanswerable one has none of
+    assert len(page.all("span", "picture", "gone")) == 3  # two photos, and what the unanswerable one has none of
     assert gone[0] in page.said
     nowhere = replace(result, folders=("/no/such/folder", ""))
     text, gone = draw_report(nowhere, tmp_path / "page.html", Sharing())

@@ -23,9 +23,7 @@ GREY = (90, 100, 110)
 
 def share(dustbin: Any, cluster: Any = None) -> TokenAssignment:
     took = np.asarray(dustbin, dtype=np.float32)
-    return TokenAssignment(
-        took, np.zeros(took.shape, dtype=np.int64) if cluster is None else np.asarray(cluster)
-    )
+    return TokenAssignment(took, np.zeros(took.shape, dtype=np.int64) if cluster is None else np.asarray(cluster))
 
 
 @settings(max_examples=40, deadline=None)
@@ -129,9 +127,7 @@ def test_a_strip_shows_every_picture_at_one_height_in_its_own_shape() -> None:
     assert red.max() < green.min()
 
 
-@pytest.mark.parametrize(
-    ("right", "colour"), [(True, explain.RIGHT), (False, explain.WRONG), (None, explain.PLAIN)]
-)
+@pytest.mark.parametrize(("right", "colour"), [(True, explain.RIGHT), (False, explain.WRONG), (None, explain.PLAIN)])
 def test_a_frame_says_whether_a_reference_is_right(right: bool | None, colour: tuple[int, int, int]) -> None:
     white = Image.new("RGB", (40, 40), "white")
     strip = np.asarray(explain.match_strip(white, [white], right=[right], height=40))
@@ -143,9 +139,7 @@ def test_a_frame_says_whether_a_reference_is_right(right: bool | None, colour: t
 def test_captions_make_room_and_never_run_into_the_next() -> None:
     white = Image.new("RGB", (60, 60), "white")
     bare = explain.match_strip(white, [white], height=60)
-    said = explain.match_strip(
-        white, [white], captions=["a query with a very long name\nand a break"], height=60
-    )
+    said = explain.match_strip(white, [white], captions=["a query with a very long name\nand a break"], height=60)
     assert said.height > bare.height
     assert said.width == bare.width
     below = np.asarray(said)[66:]
@@ -169,6 +163,4 @@ def test_a_picture_in_a_line_of_text_is_the_picture() -> None:
     layer = explain.dustbin_layer(share([[0, 0.3], [0.7, 1]]))
     kind, data = explain.data_uri(layer).split(",")
     assert kind == "data:image/png;base64"
-    assert (
-        np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGBA")) == np.asarray(layer)
-    ).all()
+    assert (np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGBA")) == np.asarray(layer)).all()

@@ -12,9 +12,7 @@ from salad.report.map import SHAPE, WIDE, Frame, cell_path, regions
 from salad.report.mistakes import OUTCOMES
 
 
-@given(
-    lat=st.floats(-75, 75), lon=st.floats(-180, 180), north=st.floats(-5e3, 5e3), east=st.floats(-5e3, 5e3)
-)
+@given(lat=st.floats(-75, 75), lon=st.floats(-180, 180), north=st.floats(-5e3, 5e3), east=st.floats(-5e3, 5e3))
 def test_a_map_keeps_distances_and_directions_and_holds_its_points(
     lat: float, lon: float, north: float, east: float
 ) -> None:

@@ -28,9 +28,7 @@ def test_no_markup_is_written_in_python() -> None:
     for package in (report, demo):
         for path in Path(package.__path__[0]).rglob("*.py"):
             texts = [
-                node.value
-                for node in ast.walk(ast.parse(path.read_text("utf-8")))
-                if isinstance(node, ast.Constant)
+                node.value for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Constant)
             ]
             marked = [text for text in texts if isinstance(text, str) and re.search(r"</?[a-z]+[ />]", text)]
             assert not marked, path
@@ -41,9 +39,7 @@ def test_no_template_leaves_the_escape_rule() -> None:
         text = path.read_text(encoding="utf-8")
         assert not re.search(r"\|\s*safe\b|autoescape|Markup", text), path.name
         if path.name.endswith((".css", ".js")):
-            assert not re.search(r"\{[{%#]|</", text), (
-                path.name
-            )  # nothing is filled in, and nothing ends it early
+            assert not re.search(r"\{[{%#]|</", text), path.name  # nothing is filled in, and nothing ends it early
             assert text.count("{") == text.count("}"), path.name
 
 

@@ -27,9 +27,7 @@ def opened(uri: str) -> Image.Image:
 
 
 @pytest.mark.parametrize(("side", "size"), [(100, (100, 75)), (4000, (400, 300))])
-def test_a_thumbnail_keeps_the_shape_and_is_never_enlarged(
-    photo: Path, side: int, size: tuple[int, int]
-) -> None:
+def test_a_thumbnail_keeps_the_shape_and_is_never_enlarged(photo: Path, side: int, size: tuple[int, int]) -> None:
     small = Thumbnails().of(photo, "a", side=side)
     assert small is not None
     assert (small.width, small.height) == opened(small.uri).size == size

@@ -42,17 +42,11 @@ def _graph(weights: dict[str, np.ndarray], blocks: int) -> SimpleNamespace:
         "onnx::Concat_1": weights["pos_embed"][:, :1],
         "onnx::Reshape_1962": weights["pos_embed"][:, 1:],
     }
-    nodes = [
-        SimpleNamespace(
-            name="/backbone/embeddings/Concat_6", op_type="Concat", input=["seen", "onnx::Concat_1"]
-        )
-    ]
+    nodes = [SimpleNamespace(name="/backbone/embeddings/Concat_6", op_type="Concat", input=["seen", "onnx::Concat_1"])]
 
     def multiplied(name: str, matrix: np.ndarray) -> None:
         stored[f"onnx::MatMul_{len(stored)}"] = matrix.T
-        nodes.append(
-            SimpleNamespace(name=f"{name}/MatMul", op_type="MatMul", input=["seen", list(stored)[-1]])
-        )
+        nodes.append(SimpleNamespace(name=f"{name}/MatMul", op_type="MatMul", input=["seen", list(stored)[-1]]))
 
     for number in range(blocks):
         block, layer = f"blocks.{number}.", f"backbone.encoder.layer.{number}."

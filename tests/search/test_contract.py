@@ -10,9 +10,10 @@ from tempfile import NamedTemporaryFile
 import numpy as np
 import pytest
 
+from salad.errors import SearchError
 from salad.geo import GeoPoint
 from salad.index.vectors import FileRows
-from salad.search.base import LONGEST_UNIT, ArrayRows, Hits, Searcher, SearchError
+from salad.search.base import LONGEST_UNIT, ArrayRows, Hits, Searcher
 from salad.search.brute_force import BruteForceSearcher
 from salad.search.exact import ExactSearcher
 from salad.search.filters import Filter
@@ -73,9 +74,7 @@ def unit(seed: int, rows: int, dim: int) -> np.ndarray:
 def due(rows: np.ndarray, queries: np.ndarray, k: int, allowed: np.ndarray | None = None) -> Hits:
     """What is to be found, from the definition."""
     scores = np.float64(np.float16(rows)) @ np.float64(queries).T
-    hits = Hits(
-        np.full((len(queries), min(k, len(rows))), -1), np.full((len(queries), min(k, len(rows))), -np.inf)
-    )
+    hits = Hits(np.full((len(queries), min(k, len(rows))), -1), np.full((len(queries), min(k, len(rows))), -np.inf))
     for number, of_query in enumerate(scores.T):
         order = [row for row in np.argsort(-of_query, kind="stable") if allowed is None or allowed[row]][:k]
         hits.rows[number, : len(order)], hits.scores[number, : len(order)] = order, of_query[order]

@@ -29,9 +29,7 @@ def same(found: Hits, expected: Hits) -> bool:
     return np.array_equal(found.rows, expected.rows) and np.array_equal(found.scores, expected.scores)
 
 
-def agree(
-    rows: Rows, queries: np.ndarray, *, k: int, allowed: np.ndarray | None = None, threads: int = 1
-) -> None:
+def agree(rows: Rows, queries: np.ndarray, *, k: int, allowed: np.ndarray | None = None, threads: int = 1) -> None:
     found = ExactSearcher(rows, threads=threads).search(queries, k=k, allowed=allowed)
     assert same(found, BruteForceSearcher(rows).search(queries, k=k, allowed=allowed))
 
@@ -122,8 +120,7 @@ def test_no_score_is_off_by_more_than_the_bound(
     """Of numbers large and small, all of one sign, so that every rounding goes one way, or such that all cancel."""
     rng = np.random.default_rng(seed)
     rows, queries = (
-        10 ** (-spread * rng.random((count, dim)))
-        * (1 if signs == "one" else rng.choice([-1, 1], (count, dim)))
+        10 ** (-spread * rng.random((count, dim))) * (1 if signs == "one" else rng.choice([-1, 1], (count, dim)))
         for count in (6, 5)
     )
     if signs == "cancel":  # the other half of a row undoes what the first half adds
@@ -240,9 +237,7 @@ def test_a_damaged_row_is_named_where_rows_may_have_any_length(bad: float, kind:
     with np.errstate(over="ignore"):  # 3e38 is infinite as float16
         matrix = matrix.astype(kind)
         matrix[7, 2] = bad
-    with pytest.raises(
-        DamagedRowError, match=r"row 7 \(from 0\) holds NaN, infinity or numbers too large"
-    ) as told:
+    with pytest.raises(DamagedRowError, match=r"row 7 \(from 0\) holds NaN, infinity or numbers too large") as told:
         ExactSearcher(ArrayRows(matrix)).search(np.ones((1, 4)), k=1)
     assert told.value.row == 7
 

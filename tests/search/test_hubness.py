@@ -103,9 +103,7 @@ def test_the_mean_follows_what_is_added_and_removed(made: Make) -> None:
     ):
         change()
         (matches,) = index.search(query, k=30, centred=True)
-        assert [match.score for match in matches] == pytest.approx(
-            np.sort(oracle(query, held)[0])[::-1], abs=1e-6
-        )
+        assert [match.score for match in matches] == pytest.approx(np.sort(oracle(query, held)[0])[::-1], abs=1e-6)
 
 
 def test_an_empty_index_has_no_mean_and_no_match(made: Make) -> None:
@@ -139,9 +137,7 @@ class TestMean:
 class TestMeanOfAll:
     @pytest.mark.parametrize("numbers", [1, 50, 1 << 22])
     @pytest.mark.parametrize("kind", [np.float16, np.float32])
-    def test_all_count_of_whatever_length(
-        self, numbers: int, kind: type, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_all_count_of_whatever_length(self, numbers: int, kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(hubness, "_NUMBERS", numbers)
         rows = (leaning(8, 5000) * np.linspace(1, 40, 5000)[:, None]).astype(kind)
         assert mean_of_all(ArrayRows(rows)) == pytest.approx(rows.astype(np.float64).mean(axis=0), abs=1e-9)

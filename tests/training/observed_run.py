@@ -57,9 +57,7 @@ def observed(
     def watched(fabric: Any, module: Any, **settings: Any) -> torch.Tensor:
         loss = learn(fabric, module, **settings)
         gradients = {
-            name: weight.grad.clone()
-            for name, weight in module.module.named_parameters()
-            if weight.grad is not None
+            name: weight.grad.clone() for name, weight in module.module.named_parameters() if weight.grad is not None
         }
         seen.append({"loss": float(loss), "gradients": gradients, "read": sorted(read)})
         read.clear()

@@ -74,10 +74,7 @@ def test_what_the_paper_does_to_a_photo_leaves_it_in_sight() -> None:
     assert int((lighter > 0.01).sum()) > 8
     assert int((lighter < -0.01).sum()) > 8
     alike = torch.stack(
-        [
-            torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1]
-            for a, b in zip(seen, given, strict=True)
-        ]
+        [torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1] for a, b in zip(seen, given, strict=True)]
     )
     assert float(alike.median()) > 0.5
 

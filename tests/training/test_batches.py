@@ -39,9 +39,7 @@ def test_mirrored_places_are_mirrored_before_anything_else(
     batches.close()
 
 
-def test_photos_may_be_smaller_in_training(
-    lite: ModelConfig, places: list[TrainingPlace], recipe: Recipe
-) -> None:
+def test_photos_may_be_smaller_in_training(lite: ModelConfig, places: list[TrainingPlace], recipe: Recipe) -> None:
     batches = _batches(lite, places, dataclasses.replace(recipe, size=24, at_once=4))
     parts = batches.parts(0, batches.batch(0))
     assert [tuple(part.shape) for part in parts] == [(4, 3, 24, 24), (2, 3, 24, 24)]
@@ -81,7 +79,7 @@ def test_every_process_reads_its_share_alone(
     whole = _batches(lite, places, plain)
     (images,) = whole.parts(0, whole.batch(0))
     opened: list[Path] = []
-    monkeypatch.setattr("salad.training.batches.decode", _noting(opened))
+    monkeypatch.setattr("salad.images.decode.decode", _noting(opened))
     shares = []
     for rank in range(4):
         opened.clear()

@@ -95,9 +95,7 @@ def test_a_run_that_cannot_be_is_a_sentence_before_it_is_one(
         _plan(vit, recipe, devices=100)
 
 
-def test_beside_a_model_that_stays_only_the_layout_is_counted(
-    vit: ModelConfig, recipe: Recipe, tmp_path: Path
-) -> None:
+def test_beside_a_model_that_stays_only_the_layout_is_counted(vit: ModelConfig, recipe: Recipe, tmp_path: Path) -> None:
     folder = write_folder(build(vit), tmp_path / "model")
     beside = RouteConfig(width=vit.backbone.width, salad=vit.aggregator, grid=2, cell_dim=3)
     frozen = dataclasses.replace(recipe, tune_steps=0)

@@ -15,7 +15,7 @@ from salad.network.network import build
 from salad.network.tokens import Tokens
 from salad.training.devices import combined_seed, launch_fabric, rank_slice, step_seed
 from salad.training.gradient_cache import backward_in_parts
-from salad.training.optim import multi_similarity
+from salad.training.loss import multi_similarity
 
 LABELS = torch.arange(5).repeat_interleave(2)  # of ten photos
 SEED = 11
@@ -39,22 +39,16 @@ def _gradients(module: nn.Module) -> dict[str, torch.Tensor]:
     return {name: weight.grad for name, weight in module.named_parameters() if weight.grad is not None}
 
 
-def _learnt(
-    model: Describer, at_once: int, *, precision: Any = "32-true"
-) -> tuple[float, dict[str, torch.Tensor]]:
+def _learnt(model: Describer, at_once: int, *, precision: Any = "32-true") -> tuple[float, dict[str, torch.Tensor]]:
     model.zero_grad()
     fabric = launch_fabric("cpu", precision)
     module = fabric.setup(model)
     parts = list(torch.split(_photos(), at_once))
-    loss = backward_in_parts(
-        fabric, module, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED
-    )
+    loss = backward_in_parts(fabric, module, parts=parts, labels=LABELS, objective=multi_similarity(), seed=SEED)
     return float(loss), _gradients(model)
 
 
-def _plain(
-    model: Describer, at_once: int, *, precision: Any = "32-true"
-) -> tuple[float, dict[str, torch.Tensor]]:
+def _plain(model: Describer, at_once: int, *, precision: Any = "32-true") -> tuple[float, dict[str, torch.Tensor]]:
     """The same by one way back through everything, each part's hidden numbers dropped as they will be."""
     model.zero_grad()
     fabric = launch_fabric("cpu", precision)
@@ -70,18 +64,14 @@ def _plain(
 
 def _close(found: dict[str, torch.Tensor], wanted: dict[str, torch.Tensor], *, within: float) -> None:
     assert found.keys() == wanted.keys()
-    assert (
-        max(float(gradient.abs().max()) for gradient in wanted.values()) > 0.01
-    )  # there is something to learn
+    assert max(float(gradient.abs().max()) for gradient in wanted.values()) > 0.01  # there is something to learn
     for name, gradient in wanted.items():
         torch.testing.assert_close(found[name], gradient, rtol=0, atol=within, msg=name)
 
 
 @pytest.mark.parametrize("backbone", ["lite", "vit"])
 @pytest.mark.parametrize("at_once", [1, 3, 5])
-def test_the_gradient_is_the_whole_batchs(
-    backbone: str, at_once: int, request: pytest.FixtureRequest
-) -> None:
+def test_the_gradient_is_the_whole_batchs(backbone: str, at_once: int, request: pytest.FixtureRequest) -> None:
     model = _made(request.getfixturevalue(backbone), dropout=0.0)
     whole, wanted = _learnt(model, len(LABELS))
     loss, found = _learnt(model, at_once)
@@ -91,9 +81,7 @@ def test_the_gradient_is_the_whole_batchs(
 
 @pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
 @pytest.mark.parametrize("dropout", [0.0, 0.5])
-def test_what_is_dropped_at_random_is_dropped_both_times(
-    vit: ModelConfig, dropout: float, precision: str
-) -> None:
+def test_what_is_dropped_at_random_is_dropped_both_times(vit: ModelConfig, dropout: float, precision: str) -> None:
     model = _made(vit, dropout=dropout)
     whole, wanted = _plain(model, 4, precision=precision)
     loss, found = _learnt(model, 4, precision=precision)

@@ -117,9 +117,7 @@ def test_what_is_expected_is_read_meanwhile(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("before", [True, False])
-def test_a_loop_that_looks_ahead_reads_nothing_twice(
-    tmp_path: Path, read: Counter[Path], before: bool
-) -> None:
+def test_a_loop_that_looks_ahead_reads_nothing_twice(tmp_path: Path, read: Counter[Path], before: bool) -> None:
     """Whether the next batch is announced before or after this one is fetched."""
     shown = place(tmp_path, "a", [10, 20, 30, 40, 50, 60])
     batches = [views(shown, number, (number + 3) % 6) for number in range(3)]
@@ -184,15 +182,11 @@ def test_broken_photos_are_told_once_with_their_count(tmp_path: Path, images: Im
 
 def test_a_place_without_a_readable_photo_is_a_sentence(tmp_path: Path, images: ImageCache) -> None:
     shown = place(tmp_path, "nowhere", [-1, -1])
-    with pytest.raises(
-        BenchmarkError, match=r"no photo of the place nowhere in city can be read; the first: .*0\.png"
-    ):
+    with pytest.raises(BenchmarkError, match=r"no photo of the place nowhere in city can be read; the first: .*0\.png"):
         images.photos(views(shown, 0))
 
 
-def test_a_broken_photo_asked_for_by_itself_is_named(
-    tmp_path: Path, images: ImageCache, read: Counter[Path]
-) -> None:
+def test_a_broken_photo_asked_for_by_itself_is_named(tmp_path: Path, images: ImageCache, read: Counter[Path]) -> None:
     shown = place(tmp_path, "a", [-1])
     for _ in range(2):
         with pytest.raises(PhotoError, match=r"0\.png"):

@@ -52,9 +52,7 @@ def test_a_run_killed_at_any_time_ends_as_it_would_have(
     assert not list(cut.glob("*.part"))
 
 
-def test_a_full_disk_loses_no_checkpoint(
-    teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_loses_no_checkpoint(teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     teach(tmp_path, recipe={"tune_steps": 0})
     before = (tmp_path / "last.ckpt").read_bytes()
 

@@ -52,9 +52,7 @@ def check(cliques: list[list[int]], count: int, size: int) -> None:
 
 
 @pytest.mark.parametrize("step_m", [1000.0, None])
-def test_places_planted_alike_come_out_together(
-    tmp_path: Path, images: ImageCache, step_m: float | None
-) -> None:
+def test_places_planted_alike_come_out_together(tmp_path: Path, images: ImageCache, step_m: float | None) -> None:
     planted = places(tmp_path / "data", [0, 1, 2, 3, 4, 5, 0, 1, 2, 3, 4, 5], step_m=step_m)
     cliques = mine(MODEL, planted, images, folder=tmp_path / "run", size=2)
     check(cliques, 12, 2)

@@ -15,13 +15,8 @@ from salad.errors import MissingExtraError, ModelError
 from salad.network.baseline_config import GemConfig
 from salad.network.config import ModelConfig
 from salad.network.network import build
-from salad.training.optim import (
-    build_optimizer,
-    learning_rate_factor,
-    multi_similarity,
-    set_learning_rates,
-    update_average,
-)
+from salad.training.loss import multi_similarity
+from salad.training.optim import build_optimizer, learning_rate_factor, set_learning_rates, update_average
 from salad.training.recipe import Recipe
 
 
@@ -153,7 +148,5 @@ def test_learning_draws_a_place_together() -> None:
 
 def test_without_the_extra_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pytorch_metric_learning", None)
-    with pytest.raises(
-        MissingExtraError, match=r"training needs the 'train' extra: pip install 'salad-vpr\[train\]'"
-    ):
+    with pytest.raises(MissingExtraError, match=r"training needs the 'train' extra: pip install 'salad-vpr\[train\]'"):
         multi_similarity()

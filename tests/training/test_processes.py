@@ -65,9 +65,7 @@ def test_two_processes_learn_what_one_learns(
     assert max(float(gradient.abs().max()) for gradient in alone[-1]["gradients"].values()) > 0.01
     one, two = (load_file(run / "last" / "model.safetensors") for run in (tmp_path, both / name))
     for key, wanted in one.items():
-        torch.testing.assert_close(
-            two[key], wanted, rtol=2e-3, atol=2e-3, msg=key
-        )  # AdamW makes signs of crumbs
+        torch.testing.assert_close(two[key], wanted, rtol=2e-3, atol=2e-3, msg=key)  # AdamW makes signs of crumbs
     assert len((both / name / "log.jsonl").read_text().splitlines()) == 3  # one process writes
 
 

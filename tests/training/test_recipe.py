@@ -17,7 +17,8 @@ from salad.network.backbones.dinov2 import ViT
 from salad.network.config import VITS, ModelConfig
 from salad.network.network import Network
 from salad.training.augment import augmentation
-from salad.training.optim import build_optimizer, learning_rate_factor, multi_similarity
+from salad.training.loss import multi_similarity
+from salad.training.optim import build_optimizer, learning_rate_factor
 from salad.training.recipe import PRESETS, Preset, Recipe, preset
 
 PAPER = PRESETS["paper"]

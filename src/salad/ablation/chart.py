@@ -86,9 +86,7 @@ class _ChartPanel:
         for tick in self.ticks:
             x = left + self.x(tick)
             parts.append(f'<path class="hair" d="M{x:.1f} {top}V{bottom}"/>')
-            parts.append(
-                f'<text class="soft" x="{x:.1f}" y="{bottom + 17}" text-anchor="middle">{tick:g}</text>'
-            )
+            parts.append(f'<text class="soft" x="{x:.1f}" y="{bottom + 17}" text-anchor="middle">{tick:g}</text>')
         for number, mark in enumerate(self.marks):
             if mark:
                 parts += self._mark_svg(mark, left, _middle(top, number))

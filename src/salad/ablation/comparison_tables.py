@@ -41,9 +41,7 @@ def write_tables(to: Path, grid: str, rows: Sequence[GridRow]) -> str:
     """
     results = read_results(to, [row.name for row in rows])
     if not any(results.values()):
-        raise ModelError(
-            f"{to} holds no outcome of a run of the grid {grid}: run it first, without --table-only"
-        )
+        raise ModelError(f"{to} holds no outcome of a run of the grid {grid}: run it first, without --table-only")
     check_equal_terms(results)
     runs = [each for of_row in results.values() for each in of_row]
     measured = Counter(name for run in runs for name in run.benchmarks)
@@ -96,9 +94,7 @@ def how_to_repeat(runs: Sequence[RunResult]) -> list[str]:
     # Start, photos and data are those of any run: `check_equal_terms` has seen to it.
     first, data = runs[0], runs[0].data
     # A row with nothing to train took no step: the longest recipe is the one that the others were given.
-    longest = max(
-        runs, key=lambda run: run.preset["recipe"]["head_steps"] + run.preset["recipe"]["tune_steps"]
-    )
+    longest = max(runs, key=lambda run: run.preset["recipe"]["head_steps"] + run.preset["recipe"]["tune_steps"])
     recipe = with_defaults(longest.preset["recipe"])
     size = first.preset["model"]["preprocessing"]
     frozen = ""
@@ -107,9 +103,7 @@ def how_to_repeat(runs: Sequence[RunResult]) -> list[str]:
     seeds = sorted({run.seed for run in runs})
     dates = sorted({run.finished for run in runs})
     cities = ", ".join(f"{city} {places}" for city, places in data["cities"].items())
-    versions = _distinct(
-        ", ".join(f"{name} {number}" for name, number in run.versions.items()) for run in runs
-    )
+    versions = _distinct(", ".join(f"{name} {number}" for name, number in run.versions.items()) for run in runs)
     machines = _distinct(
         f"{run.machine['system']}, {run.machine['cores']} cores, {run.machine['threads']} threads, "
         f"measured on {run.machine['device']}"
@@ -142,9 +136,7 @@ def markdown_table(lines: Sequence[ModelLine], *, notes: Sequence[str] = ()) -> 
         cells = [line.name.replace("|", "\\|")]  # it would begin another cell
         for column in columns:
             found = line.recall(column)
-            cells.append(
-                EMPTY_CELL if found is None else f"**{found}**" if leaders[column] is line else str(found)
-            )
+            cells.append(EMPTY_CELL if found is None else f"**{found}**" if leaders[column] is line else str(found))
         for protocol in protocols:
             theirs = line.published.get(protocol)
             star = "\\*" if theirs and theirs.caveat else ""
@@ -190,9 +182,7 @@ def order_sentences(lines: Sequence[ModelLine]) -> list[str]:
         if certain:
             sentence += f"; the other way round by more than the spread: {', '.join(certain)}"
         if uncertain:
-            sentence += (
-                f"; the other way round, but within the spread or with none known: {', '.join(uncertain)}"
-            )
+            sentence += f"; the other way round, but within the spread or with none known: {', '.join(uncertain)}"
         sentences.append(f"{sentence}.")
     return sentences
 

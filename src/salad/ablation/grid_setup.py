@@ -72,9 +72,7 @@ def grid_setup(start: str = IMAGENET, *, side: int, recipe: Recipe, depth: int |
     backbone: LiteConfig | ViTConfig
     if start == IMAGENET:
         if depth is not None:
-            raise ModelError(
-                f"a depth of {depth} blocks can be chosen of a file's backbone alone: give --start"
-            )
+            raise ModelError(f"a depth of {depth} blocks can be chosen of a file's backbone alone: give --start")
         backbone, photo = LiteConfig(), replace(LITE_PHOTO, height=side, width=side)
     else:
         tensors = read_tensors(Path(start))

@@ -78,23 +78,17 @@ def _head(clusters: int, cluster_dim: int, **more: int) -> dict[str, int]:
 _AGGREGATORS = (
     GridRow("salad", "SALAD", paper=_paper(_THREE, 92.2, 76.0, 92.1)),
     GridRow("netvlad", "NetVLAD", "netvlad", paper=_paper(_THREE, 92.4, 71.8, 90.8)),
-    GridRow(
-        "netvlad-linear", "NetVLAD with reduction", "netvlad-linear", paper=_paper(_THREE, 90.1, 70.1, 90.6)
-    ),
+    GridRow("netvlad-linear", "NetVLAD with reduction", "netvlad-linear", paper=_paper(_THREE, 90.1, 70.1, 90.6)),
     GridRow("gem", "GeM", "gem", paper=_paper(_THREE, 85.4, 35.4, 83.0)),
     # A row without `paper` is one that we ask about and the paper does not.
     GridRow("average", "average", "average"),
     GridRow("class-token", "class token", "class-token"),
     GridRow("mixvpr", "MixVPR", "mixvpr", paper=_paper(_THREE, 90.0, 63.6, 89.8)),
     GridRow("conv-ap", "Conv-AP", "conv-ap", paper=_paper(_THREE, 83.1, 42.7, 79.2, caveat=OTHER_BACKBONE)),
-    GridRow(
-        "cosplace", "CosPlace", "cosplace", paper=_paper(_THREE, 87.4, 44.2, 80.1, caveat=OTHER_BACKBONE)
-    ),
+    GridRow("cosplace", "CosPlace", "cosplace", paper=_paper(_THREE, 87.4, 44.2, 80.1, caveat=OTHER_BACKBONE)),
     GridRow("boq", "BoQ", "boq"),
     # AnyLoc learns nothing: its vocabulary is fitted to the photos, and the backbone stays as it is.
-    GridRow(
-        "vlad", "VLAD without training", "vlad", blocks=0, fitted=True, paper=_paper(_THREE, 68.7, 16.1, 85.3)
-    ),
+    GridRow("vlad", "VLAD without training", "vlad", blocks=0, fitted=True, paper=_paper(_THREE, 68.7, 16.1, 85.3)),
 )
 
 # With more than four blocks trained the paper's model gets worse: is that so on a smaller backbone too?

@@ -92,12 +92,8 @@ def read_result(folder: Path) -> RunResult | None:
         if version == FORMAT and set(stored) == {field.name for field in fields(RunResult)}:
             return RunResult(**stored)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ModelError(
-            f"{path} cannot be read ({error!r}): remove its folder to have it run again"
-        ) from error
-    raise ModelError(
-        f"{path} was written by another version of salad: remove its folder to have it run again"
-    )
+        raise ModelError(f"{path} cannot be read ({error!r}): remove its folder to have it run again") from error
+    raise ModelError(f"{path} was written by another version of salad: remove its folder to have it run again")
 
 
 def read_results(to: Path, rows: Sequence[str]) -> dict[str, list[RunResult]]:

@@ -11,7 +11,7 @@ from salad.errors import BenchmarkError, ModelError, SaladError
 
 if TYPE_CHECKING:
     from salad.datasets.benchmark import Benchmark
-    from salad.images.photo import PhotoTable
+    from salad.images.photo_table import PhotoTable
     from salad.index.index import Index
     from salad.models.describer import DescriberLike
 
@@ -121,14 +121,10 @@ def benchmark_of(
     # Two rules would be two protocols in one figure, and none is no protocol at all.
     rules = [rule for rule in (truth, frames, radius) if rule is not None]
     if len(rules) != 1:
-        raise BenchmarkError(
-            f"{len(rules)} rules say what is right, but it takes one: --truth, --frames or --radius"
-        )
+        raise BenchmarkError(f"{len(rules)} rules say what is right, but it takes one: --truth, --frames or --radius")
     if radius is None and (heading is not None or table is not None):
         option = "--table" if heading is None else "--heading"
-        raise BenchmarkError(
-            f"{option} says more about a radius, and there is none: give --radius, or leave it away"
-        )
+        raise BenchmarkError(f"{option} says more about a radius, and there is none: give --radius, or leave it away")
     if truth is not None:
         return benchmark.from_truth(references, queries, truth)
     if frames is not None:
@@ -142,7 +138,7 @@ def benchmark_of(
 
 def read_positions(table: Path | None) -> PhotoTable | None:
     """The table of positions, where one is named."""
-    from salad.images.photo import PhotoTable
+    from salad.images.photo_table import PhotoTable
 
     return None if table is None else PhotoTable.read(table)
 
@@ -150,6 +146,4 @@ def read_positions(table: Path | None) -> PhotoTable | None:
 def check_positions(positions: PhotoTable | None, benchmark: Benchmark) -> None:
     """Make sure that every row of a table names a photo of the set, so that a misspelt one is noticed."""
     if positions is not None:
-        positions.check_used(
-            photo.path for side in (benchmark.references, benchmark.queries) for photo in side
-        )
+        positions.check_used(photo.path for side in (benchmark.references, benchmark.queries) for photo in side)

@@ -156,9 +156,7 @@ class MergeCommand:
                 with Index.open(folder) as other:
                     done = merge(into, other)
                 for path in done.other:  # a path names one photo, so ours stays
-                    terminal.say(
-                        f"{path} was left out of {folder}: {self.index} has another photo at that path"
-                    )
+                    terminal.say(f"{path} was left out of {folder}: {self.index} has another photo at that path")
                 _say_damaged(done.damaged)
                 terminal.say(f"{folder}: {done.added} photos added, {done.held} there already")
             terminal.say(f"{self.index}: it holds {len(into)} photos")

@@ -12,36 +12,36 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes
 
 from salad._version import __version__
 from salad.cli import (
-    compare,
-    datasets,
-    demo,
-    evaluate,
-    index,
+    compare_command,
+    datasets_command,
+    demo_command,
+    evaluate_command,
+    index_command,
     index_maintenance,
-    locate,
-    places,
+    locate_command,
+    places_command,
     terminal,
-    train,
-    weights,
+    train_command,
+    weights_command,
 )
 from salad.errors import SaladError
 
 COMMANDS: dict[str, Any] = {  # in the order of `salad --help`
-    "index": index.IndexCommand,
-    "locate": locate.LocateCommand,
+    "index": index_command.IndexCommand,
+    "locate": locate_command.LocateCommand,
     "info": index_maintenance.InfoCommand,
     "verify": index_maintenance.VerifyCommand,
     "remove": index_maintenance.RemoveCommand,
     "compact": index_maintenance.CompactCommand,
     "export": index_maintenance.ExportCommand,
     "merge": index_maintenance.MergeCommand,
-    "evaluate": evaluate.EvaluateCommand,
-    "datasets": datasets.DatasetsCommand,
-    "weights": weights.WeightsCommand,
-    "places": places.PlacesCommand,
-    "train": train.TrainCommand,
-    "compare": compare.CompareCommand,
-    "demo": demo.DemoCommand,
+    "evaluate": evaluate_command.EvaluateCommand,
+    "datasets": datasets_command.DatasetsCommand,
+    "weights": weights_command.WeightsCommand,
+    "places": places_command.PlacesCommand,
+    "train": train_command.TrainCommand,
+    "compare": compare_command.CompareCommand,
+    "demo": demo_command.DemoCommand,
 }
 
 

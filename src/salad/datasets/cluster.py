@@ -123,9 +123,7 @@ def find_cells(
     for number in sorted(range(len(places)), key=lambda number: -len(places[number].photos)):
         if kept.isdisjoint(near.of(number).tolist()):
             kept.add(number)
-    thinned = [
-        photo.path for number, place in enumerate(places) if number not in kept for photo in place.photos
-    ]
+    thinned = [photo.path for number, place in enumerate(places) if number not in kept for photo in place.photos]
     return Clustering(
         tuple(place for number, place in enumerate(places) if number in kept),
         {
@@ -149,9 +147,7 @@ def _cells(photos: Sequence[Photo], side_m: float, turn: float) -> dict[Key, lis
     for photo, row, column in zip(placed, rows.tolist(), columns.tolist(), strict=True):
         cells.setdefault((row, column, _way(photo.heading, turn)), []).append(photo)
     # In order, whatever the order of the photos: the same photos give the same table.
-    return {
-        key: sorted(cells[key], key=lambda photo: (clock(photo.time), photo.path)) for key in sorted(cells)
-    }
+    return {key: sorted(cells[key], key=lambda photo: (clock(photo.time), photo.path)) for key in sorted(cells)}
 
 
 def _way(heading: float | None, turn: float) -> str:
@@ -183,9 +179,7 @@ def _cities(points: Sequence[GeoPoint]) -> list[str]:
     members = [parts[square] for square in sorted(parts)]
     middles = [centre([points[number] for number in part]) for part in members]
     near = Neighbours(middles, 1.5 * _CITY_M)
-    pairs = np.array(
-        [(part, other) for part in range(len(members)) for other in near.of(part)], dtype=np.int64
-    )
+    pairs = np.array([(part, other) for part in range(len(members)) for other in near.of(part)], dtype=np.int64)
     one, other = pairs.reshape(-1, 2).T
     steps = coo_array((np.ones(len(one)), (one, other)), shape=(len(members), len(members)))
     _, city_of = connected_components(steps, directed=False)

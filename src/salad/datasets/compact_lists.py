@@ -68,9 +68,7 @@ class Ragged(_MadeOnRequest["Int64[np.ndarray, ' n']"]):
         ends: `[N + 1]` where each begins, and where the last one ends; the first is 0.
     """
 
-    def __init__(
-        self, values: Int64[np.ndarray, " v"], lengths: Sequence[int] | Int64[np.ndarray, " n"]
-    ) -> None:
+    def __init__(self, values: Int64[np.ndarray, " v"], lengths: Sequence[int] | Int64[np.ndarray, " n"]) -> None:
         self.values, self.ends = values, np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
 
     @classmethod

@@ -43,9 +43,7 @@ def zone_number(text: str) -> int:
     return int(named[1]) if named[2].upper() >= "N" else -int(named[1])
 
 
-def lat_lon_of(
-    metres: Float64[np.ndarray, "n 2"], zone: Int64[np.ndarray, " n"]
-) -> Float64[np.ndarray, "n 2"]:
+def lat_lon_of(metres: Float64[np.ndarray, "n 2"], zone: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
     """Latitudes and longitudes in degrees, millions at once; NaN where there is no zone, or metres are off the grid.
 
     Metres are east and north; zones are numbered as in `Coordinates`.

@@ -25,9 +25,7 @@ class PhotoNames:
 
     def __init__(self, folder: Path, paths: Sequence[Path]) -> None:
         self._folder = folder
-        self._by_path = {
-            os.path.relpath(path, folder).replace(os.sep, "/"): row for row, path in enumerate(paths)
-        }
+        self._by_path = {os.path.relpath(path, folder).replace(os.sep, "/"): row for row, path in enumerate(paths)}
         # Two folders may hold an a.jpg each: such a name is refused where it is used, not here.
         self._by_name: dict[str, list[int]] = {}
         for row, path in enumerate(paths):
@@ -99,9 +97,7 @@ def read_truth(truth_csv: Path, references: PhotoNames, queries: PhotoNames) -> 
     return truth
 
 
-def looking_alike(
-    queries: Sequence[Photo], references: Sequence[Photo], positives: Ragged, tolerance: float
-) -> Ragged:
+def looking_alike(queries: Sequence[Photo], references: Sequence[Photo], positives: Ragged, tolerance: float) -> Ragged:
     """Keep of each query's positives those that look the same way, within `tolerance` degrees.
 
     Raises:

@@ -53,16 +53,12 @@ def read_struct(path: Path, name: str) -> dict[str, Value]:
             if found == name and isinstance(value, dict):
                 return value
     except OSError as error:
-        raise BenchmarkError(
-            f"{path} cannot be read ({error.strerror}): check the name and its rights"
-        ) from error
+        raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name and its rights") from error
     except _FAULTS as error:
         raise BenchmarkError(
             f"{path} is no whole MATLAB file of version 5 ({error}): fetch it again, or save it with -v6 or -v7"
         ) from error
-    raise BenchmarkError(
-        f"{path} holds no structure called {name}: take the file that the data set comes with"
-    )
+    raise BenchmarkError(f"{path} holds no structure called {name}: take the file that the data set comes with")
 
 
 def _variables(data: bytes) -> Iterator[tuple[str, Value | None]]:
@@ -115,9 +111,7 @@ def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Value | None]:
         width, (_, names) = int(_numbers(5, content, order)[0]), next(elements, nothing)
         if width < 1:
             raise ValueError("a structure's fields have no names")
-        fields = [
-            names[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(names), width)
-        ]
+        fields = [names[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(names), width)]
         values = [_matrix(field, order, depth + 1)[1] for _, field in elements]
         return name, dict(zip(fields, values, strict=False))
     if kind == _TEXT:

@@ -32,9 +32,7 @@ _STRETCH = 1.02  # more than a UTM zone and the sphere stretch any distance
 _FAR = 1e149  # metres: the tree squares distances, and those of a damaged table's numbers must not overflow
 
 
-def near_on_earth(
-    queries: Float64[np.ndarray, "q 2"], references: Float64[np.ndarray, "r 2"], radius: float
-) -> Ragged:
+def near_on_earth(queries: Float64[np.ndarray, "q 2"], references: Float64[np.ndarray, "r 2"], radius: float) -> Ragged:
     """For each query the rows of the references at most `radius` metres away along the great circle, ascending.
 
     Both sides are latitudes and longitudes in degrees.
@@ -135,9 +133,7 @@ class Neighbours:
         return near
 
 
-def squares(
-    lat_lon: Float64[np.ndarray, "n 2"], side_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def squares(lat_lon: Float64[np.ndarray, "n 2"], side_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The square of the earth that each point lies in: its row from the south pole and its place in that row.
 
     Rows are `side_m` high. Each is cut into a whole number of pieces at most that wide, so it closes at the date

@@ -11,7 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from salad.datasets.benchmark import Benchmark, Unanswerable, from_frames, from_radius, from_truth
-from salad.datasets.readers import at_names, dbstruct, gsv_cities, msls, npy_triple, npz, two_folders
+from salad.datasets.readers import (
+    at_names,
+    dbstruct,
+    gsv_cities,
+    msls,
+    npy_triple,
+    patch_netvlad,
+    two_folders,
+)
 from salad.datasets.readers.base import (
     EveryNth,
     Frames,
@@ -25,7 +33,7 @@ from salad.datasets.readers.base import (
 )
 from salad.datasets.readers.two_folders import TRUTH_TABLE, own_folders
 from salad.errors import BenchmarkError
-from salad.images.photo import PhotoTable
+from salad.images.photo_table import PhotoTable
 
 # Which of several layouts a folder is read by is its protocol's to say, so their order here decides nothing.
 LAYOUTS: dict[str, Layout] = {
@@ -35,7 +43,7 @@ LAYOUTS: dict[str, Layout] = {
         msls.LAYOUT,
         dbstruct.LAYOUT,
         npy_triple.LAYOUT,
-        npz.LAYOUT,
+        patch_netvlad.LAYOUT,
         two_folders.DRIVES,
         two_folders.PAIRS,
         gsv_cities.LAYOUT,
@@ -97,9 +105,7 @@ def _nordland(name: str, rule: Frames | EveryNth, references: int, queries: int,
 
 def _by_folder(name: str, *stems: str, sides: tuple[str, str] = ("database", "queries")) -> Protocol:
     get = "github.com/gmberton/VPR-datasets-downloader, which fetches and names it"
-    return Protocol(
-        name, Radius(25.0), ("@ names",), stems=stems, sides=(sides,), get=get, licence="see its page"
-    )
+    return Protocol(name, Radius(25.0), ("@ names",), stems=stems, sides=(sides,), get=get, licence="see its page")
 
 
 def _own_rule(name: str, rule: Radius | OwnTable, layout: str, get: str) -> Protocol:
@@ -182,9 +188,7 @@ PROTOCOLS: dict[str, Protocol] = {
         ),
         # A user's own: what is right is as the options of `read` say.
         _own_rule("folder", Radius(25.0), "folder", "your own photos, with EXIF GPS, `@` names or a table"),
-        _own_rule(
-            "frames", OwnTable("the tolerance you give"), "folder", "your own two drives of numbered photos"
-        ),
+        _own_rule("frames", OwnTable("the tolerance you give"), "folder", "your own two drives of numbered photos"),
         _own_rule("truth", OwnTable("gt.csv"), "gt.csv", "your own photos and a table query,positives"),
     )
 }
@@ -251,9 +255,7 @@ def read(
     if not asked.yours:
         return _published(asked, root, layout, any_size=any_size)
     if layout is not None:
-        raise BenchmarkError(
-            f"{protocol} takes two folders as they are and no layout {layout}: leave it away"
-        )
+        raise BenchmarkError(f"{protocol} takes two folders as they are and no layout {layout}: leave it away")
     folders = (root, queries) if queries is not None else own_folders(root)
     if folders is None:
         raise _absent(asked, root)
@@ -262,9 +264,7 @@ def read(
     if protocol == "truth":
         return from_truth(*folders, truth or root / TRUTH_TABLE)
     if tolerance is None:
-        raise BenchmarkError(
-            "the protocol frames needs a tolerance: say how many frames apart is still right"
-        )
+        raise BenchmarkError("the protocol frames needs a tolerance: say how many frames apart is still right")
     return from_frames(*folders, tolerance)
 
 

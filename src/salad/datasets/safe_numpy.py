@@ -39,9 +39,7 @@ def plain_array(data: bytes, code: str, shape: tuple[int, ...], fortran: bool, a
     """
     # By a pattern and not by np.dtype, which takes structures, sub-arrays, and texts of any length.
     if not _PLAIN.fullmatch(code):
-        raise BenchmarkError(
-            f"{at} holds items of the kind {code!r}: only integers, numbers and texts are read"
-        )
+        raise BenchmarkError(f"{at} holds items of the kind {code!r}: only integers, numbers and texts are read")
     kind, count = np.dtype(code), math.prod(shape)
     if count > MOST or count * kind.itemsize > len(data):
         raise BenchmarkError(f"{at} ends before its {count} items do, or has too many: fetch it again")
@@ -113,9 +111,7 @@ class _Pickle:
                 "run: fetch it again from where the data set comes from"
             ) from error
         if len(items) != math.prod(shape):
-            raise BenchmarkError(
-                f"{self._at} says it holds {shape} items, but has {len(items)}: fetch it again"
-            )
+            raise BenchmarkError(f"{self._at} says it holds {shape} items, but has {len(items)}: fetch it again")
         return items
 
     def _top(self) -> Any:
@@ -199,9 +195,7 @@ class _Pickle:
     def _plain(self, item: Any) -> Any:
         """An item as numpy would have it; an array that many items share is made once."""
         if not isinstance(item, _Made):
-            if type(item) in (int, str) or (
-                isinstance(item, list) and all(type(part) is int for part in item)
-            ):
+            if type(item) in (int, str) or (isinstance(item, list) and all(type(part) is int for part in item)):
                 return item
             raise TypeError(f"an item is of the kind {type(item).__name__}")
         # Without this a small file could name one large array a million times, and fill the memory with its copies.
@@ -288,9 +282,7 @@ class Arrays:
         items = self.value if isinstance(self.value, list) else self.value.ravel().tolist()
         told = [item.decode("utf-8", "replace") if isinstance(item, bytes) else item for item in items]
         if not all(isinstance(item, str) for item in told):
-            raise BenchmarkError(
-                f"{self.at} should hold names of photos and holds something else: fetch it again"
-            )
+            raise BenchmarkError(f"{self.at} should hold names of photos and holds something else: fetch it again")
         try:
             "".join(told).encode("utf-8", "surrogateescape")
         except UnicodeEncodeError as error:
@@ -322,9 +314,7 @@ class Arrays:
             if isinstance(item, list) and all(type(part) is int and abs(part) < 1 << 62 for part in item):
                 array = np.array(item, dtype=np.int64)
             # an empty list was saved as no real numbers
-            if array is None or not (
-                array.dtype.kind in "iu" or (array.dtype.kind == "f" and array.size == 0)
-            ):
+            if array is None or not (array.dtype.kind in "iu" or (array.dtype.kind == "f" and array.size == 0)):
                 raise BenchmarkError(
                     f"{self.at} should hold rows of references for each query and holds something else"
                 )
@@ -343,9 +333,7 @@ def read_npy(path: Path) -> Arrays:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise BenchmarkError(
-            f"{path} cannot be read ({error.strerror}): check the name and its rights"
-        ) from error
+        raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name and its rights") from error
     return parse_npy(data, str(path))
 
 
@@ -376,9 +364,7 @@ def parse_npy(data: bytes, at: str) -> Arrays:
     size = int.from_bytes(data[8 : 8 + wide], "little")
     header = _HEADER.fullmatch(data[8 + wide : 8 + wide + min(size, 10_000)].decode("latin-1"))
     if not data.startswith(_MAGIC) or header is None:
-        raise BenchmarkError(
-            f"{at} is not a whole .npy file of plain items: fetch it again, or save it with numpy"
-        )
+        raise BenchmarkError(f"{at} is not a whole .npy file of plain items: fetch it again, or save it with numpy")
     code, fortran, sides = header.groups()
     shape = tuple(int(side.strip(" L")) for side in sides.split(",") if side.strip(" L"))
     content = data[8 + wide + size :]

@@ -171,9 +171,7 @@ class CliqueSampler(Sampler):
         alone = [[place] for place in sorted(set(range(len(places))) - set(taken))]
         together = [[place for place in clique if place in chance_of] for clique in [*self.cliques, *alone]]
         self._groups = [group for group in together if group]
-        self._chances = np.array(
-            [sum(chance_of[place] for place in group) / len(group) for group in self._groups]
-        )
+        self._chances = np.array([sum(chance_of[place] for place in group) / len(group) for group in self._groups])
 
     def _drawn(self, _: int, rng: np.random.Generator) -> Sequence[int]:
         # waiting times: the same as to draw one after another, each by its chance among those that are left
@@ -226,9 +224,7 @@ class Packing:
         self._places = places
         at = {place: index for index, place in enumerate(places)}
         # For each place, where among these the places stand that are near to it.
-        self._near = [
-            sorted(at[other] for other in near.of(place).tolist() if other in at) for place in places
-        ]
+        self._near = [sorted(at[other] for other in near.of(place).tolist() if other in at) for place in places]
         self._batch_of = self._settled(room)
 
     def shuffled(self, rng: np.random.Generator) -> list[list[int]]:
@@ -242,9 +238,7 @@ class Packing:
         offered = rng.integers(len(batch_of), size=len(movers))
         for one, other in zip(rng.permutation(movers).tolist(), offered.tolist(), strict=True):
             here, there = batch_of[one], batch_of[other]
-            if self._fits(batch_of, one, there, without=other) and self._fits(
-                batch_of, other, here, without=one
-            ):
+            if self._fits(batch_of, one, there, without=other) and self._fits(batch_of, other, here, without=one):
                 batch_of[one], batch_of[other] = there, here
         batches: list[list[int]] = [[] for _ in range(int(batch_of.max()) + 1)]
         for index in rng.permutation(len(batch_of)):

@@ -87,9 +87,7 @@ class DemoResult:
 
     def count(self, verdict: Verdict, *, condition: str | None = None) -> int:
         """How many answers were right, wrong or unknown, in all or under one condition."""
-        return sum(
-            one.verdict == verdict for one in self.judged if condition is None or one.condition == condition
-        )
+        return sum(one.verdict == verdict for one in self.judged if condition is None or one.condition == condition)
 
     @property
     def right_fraction(self) -> float:

@@ -96,6 +96,5 @@ def run_demo(
 def judge(answers: list[Answer], town: Town) -> tuple[Judged, ...]:
     """Put every answer beside the truth."""
     return tuple(
-        Judged(answer, town.truth[answer.query.name], town.conditions[answer.query.name])
-        for answer in answers
+        Judged(answer, town.truth[answer.query.name], town.conditions[answer.query.name]) for answer in answers
     )

@@ -110,9 +110,7 @@ class SamplingDesign:
     seed: int = 0
     times: int = TIMES
 
-    def resampling(
-        self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]
-    ) -> Resampling:
+    def resampling(self, those: Int64[np.ndarray, " some"], values: Float64[np.ndarray, " some"]) -> Resampling:
         """How to draw some of the queries again, given what each of them came to."""
         by, unit_of, length = self.by, np.arange(len(those)), 1
         if self.by == "group":
@@ -143,9 +141,7 @@ def block_length(series: Float64[np.ndarray, " frames"]) -> int:
         # So many small ones in a row, and the memory has ended.
         significant = max(5, math.ceil(math.log10(count)))
         lags = min(count - 1, math.ceil(math.sqrt(count)) + significant)
-        covariance = np.array(
-            [float(centred[: count - lag] @ centred[lag:]) / count for lag in range(lags + 1)]
-        )
+        covariance = np.array([float(centred[: count - lag] @ centred[lag:]) / count for lag in range(lags + 1)])
         small = np.abs(covariance[1:] / variance) < 2 * math.sqrt(math.log10(max(count, 2)) / count)
         runs = (lag for lag in range(len(small) - significant + 1) if small[lag : lag + significant].all())
         reach = min(2 * max(1, next(runs, len(small))), lags)
@@ -159,9 +155,7 @@ def block_length(series: Float64[np.ndarray, " frames"]) -> int:
     return max(1, min(2 * math.ceil(length), count // 6))
 
 
-def proportion_interval(
-    percent: float, draws: Float64[np.ndarray, " draws"], *, units: int, counted: int
-) -> Interval:
+def proportion_interval(percent: float, draws: Float64[np.ndarray, " draws"], *, units: int, counted: int) -> Interval:
     """The interval of a proportion, in percent: Wilson's, of as many queries as the draws say they are worth.
 
     Args:

@@ -115,9 +115,7 @@ def evaluate(
     settings = EvalSettings(ks, unanswerable, seed)
     settings.check(benchmark)
     began = time.perf_counter()
-    references, queries = describe_sides(
-        benchmark, model, batch_size=batch_size, cache=cache, progress=progress
-    )
+    references, queries = describe_sides(benchmark, model, batch_size=batch_size, cache=cache, progress=progress)
     centred = calibration_of(model).centred  # judged as `locate` uses it, unless asked for the published way
     ranked = rank(queries, references, k=max(ks), centred=centred and not plain, searcher=searcher)
     return judge(
@@ -304,9 +302,7 @@ def query_results(benchmark: Benchmark, ranked: Ranked, folder: str) -> tuple[Qu
         BenchmarkError: If there is not one ranking a query.
     """
     if len(ranked.rows) != len(benchmark.queries):
-        raise BenchmarkError(
-            f"{len(ranked.rows)} rankings but {len(benchmark.queries)} queries: give one of each"
-        )
+        raise BenchmarkError(f"{len(ranked.rows)} rankings but {len(benchmark.queries)} queries: give one of each")
     results = []
     for number, (rows, right) in enumerate(zip(ranked.rows, benchmark.positives, strict=True)):
         query = benchmark.queries[number]  # once: of a large set photos are made as they are asked for

@@ -218,9 +218,7 @@ class Distances:
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON form; what is infinite is null, since JSON has no infinity."""
-        median, *ends = (
-            metres if math.isfinite(metres) else None for metres in (self.median, *self.median_interval)
-        )
+        median, *ends = (metres if math.isfinite(metres) else None for metres in (self.median, *self.median_interval))
         return {
             "known": self.known,
             "median": median,
@@ -233,17 +231,14 @@ class Distances:
     def from_dict(cls, read: Mapping[str, Any]) -> Distances:
         """What `as_dict` wrote."""
         median, low, high = (
-            math.inf if metres is None else float(metres)
-            for metres in (read["median"], *read["median_interval"])
+            math.inf if metres is None else float(metres) for metres in (read["median"], *read["median_interval"])
         )
         return cls(
             known=operator.index(read["known"]),
             median=median,
             median_interval=Interval(low, high),
             within={int(metres): float(percent) for metres, percent in read["within"].items()},
-            within_intervals={
-                int(m): Interval(*map(float, ends)) for m, ends in read["within_intervals"].items()
-            },
+            within_intervals={int(m): Interval(*map(float, ends)) for m, ends in read["within_intervals"].items()},
         )
 
 

@@ -208,8 +208,7 @@ class Result:
             leaks=None if leaks is None else tuple(Leak(**leak) for leak in leaks),
             per_query=tuple(map(QueryResult.from_dict, read["verdicts"])),
             known={
-                int(row): Reference(_exactly(str, name), _where(where))
-                for row, (name, where) in read["known"].items()
+                int(row): Reference(_exactly(str, name), _where(where)) for row, (name, where) in read["known"].items()
             },
             folders=(references, queries),
             digests=(names_digest, rows_digest),
@@ -263,9 +262,7 @@ def read_result(path: Path) -> Result:
     except (ValueError, RecursionError) as error:
         raise BenchmarkError(f"{path} is no JSON: write it with salad evaluate --save") from error
     if not isinstance(read, dict) or "verdicts" not in read:
-        raise BenchmarkError(
-            f"{path} does not say what became of each query: write it with salad evaluate --save"
-        )
+        raise BenchmarkError(f"{path} does not say what became of each query: write it with salad evaluate --save")
     if read.get("format") != FORMAT:
         raise BenchmarkError(
             f"{path} is of format {read.get('format')!r}, not {FORMAT}: read it with the salad that wrote it"

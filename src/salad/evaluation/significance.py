@@ -122,9 +122,7 @@ def check_comparable(first: Result, other: Result) -> None:
             f"{min(odd)} is in one only): judge both on the same queries"
         )
     if ours != theirs:
-        raise BenchmarkError(
-            "the results have the same queries in another order: judge both on one copy of the set"
-        )
+        raise BenchmarkError("the results have the same queries in another order: judge both on one copy of the set")
     for what, one, two in zip(("references", "right references"), first.digests, other.digests, strict=True):
         if one != two:
             raise BenchmarkError(

@@ -61,9 +61,7 @@ _PILLOW = threading.Lock()  # guards settings of the whole process that `quiet_p
 # --- from a file to pixels -----------------------------------------------------------------
 
 
-def decode(
-    path: Path, height: int, width: int, resample: str = "bilinear", *, file: IO[bytes] | None = None
-) -> Pixels:
+def decode(path: Path, height: int, width: int, resample: str = "bilinear", *, file: IO[bytes] | None = None) -> Pixels:
     """A photo as every model sees it: upright, RGB, the whole of it squeezed to one size.
 
     Training, evaluation, the index and its queries all come here. A JPEG is decoded at a half, a quarter or an
@@ -187,18 +185,12 @@ def naming(path: Path) -> Iterator[None]:
     except PhotoError:
         raise
     except UnidentifiedImageError as error:
-        raise PhotoError(
-            f"{path} is not an image that can be read: save it as JPEG or PNG, or leave it out"
-        ) from error
+        raise PhotoError(f"{path} is not an image that can be read: save it as JPEG or PNG, or leave it out") from error
     except MemoryError as error:
-        raise PhotoError(
-            f"{path} needs more memory than there is: save it smaller or leave it out"
-        ) from error
+        raise PhotoError(f"{path} needs more memory than there is: save it smaller or leave it out") from error
     except Exception as error:  # decoders raise anything at all on broken bytes
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise PhotoError(
-            f"{path} is damaged or cut short ({reason}): fetch it again or leave it out"
-        ) from error
+        raise PhotoError(f"{path} is damaged or cut short ({reason}): fetch it again or leave it out") from error
 
 
 def open_image(path: Path, file: IO[bytes]) -> Image.Image:
@@ -227,9 +219,7 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
             heif = importlib.import_module("pillow_heif")
         except ImportError as error:
             missing = MissingExtraError("reading HEIC", "heic")
-            raise PhotoError(
-                f"{path} is HEIC: save it as JPEG, or install what reads it ({missing})"
-            ) from error
+            raise PhotoError(f"{path} is HEIC: save it as JPEG, or install what reads it ({missing})") from error
     try:
         with quiet_pillow():
             Image.init()
@@ -239,9 +229,7 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
     except Image.DecompressionBombError as error:
         # Refused by Pillow in the middle of a file, so that the number of pixels stands in its sentence alone.
         found = re.search(r"\d+", str(error))
-        raise PhotoError(
-            f"{path} has {found[0] if found else 'too many'} pixels, {_over(MAX_PIXELS)}"
-        ) from error
+        raise PhotoError(f"{path} has {found[0] if found else 'too many'} pixels, {_over(MAX_PIXELS)}") from error
     _check_size(path, image)
     return image
 

@@ -430,9 +430,7 @@ def _placed(tiff: bytes, where: GeoPoint, within_m: float | None) -> bytes:
     grown = tiff + bytes(len(tiff) % 2)  # numbers and tables begin at even places
     entries = {tag: entry for tag, entry in gps.entries.items() if tag not in _SUPERSEDED}
     # A version of the tags that stands there already is kept.
-    entries.setdefault(
-        GPS.GPSVersionID, struct.pack(order + "HHI4s", GPS.GPSVersionID, _BYTE, 4, b"\2\3\0\0")
-    )
+    entries.setdefault(GPS.GPSVersionID, struct.pack(order + "HHI4s", GPS.GPSVersionID, _BYTE, 4, b"\2\3\0\0"))
     south, west = b"S" if where.lat < 0 else b"N", b"W" if where.lon < 0 else b"E"
     for tag, letter in ((GPS.GPSLatitudeRef, south), (GPS.GPSLongitudeRef, west)):
         entries[tag] = struct.pack(order + "HHI4s", tag, _ASCII, 2, letter)

@@ -210,9 +210,7 @@ class _Process:
             try:
                 value = self._answer(task, path, *rest)
             except _DiedError as error:
-                raise PhotoError(
-                    f"{path} crashes its decoder ({error}): fetch it again or leave it out"
-                ) from error
+                raise PhotoError(f"{path} crashes its decoder ({error}): fetch it again or leave it out") from error
         if isinstance(value, SaladError):
             raise value
         return value

@@ -27,7 +27,8 @@ import numpy.typing as npt
 
 from salad.errors import SaladError
 from salad.images.decode import Pixels
-from salad.images.photo import Photo, PhotoTable, content_hash, placed
+from salad.images.photo import Photo, content_hash, placed
+from salad.images.photo_table import PhotoTable
 from salad.images.workers import Size, Workers
 from salad.index.index import Index
 from salad.index.index_folder import resolved
@@ -111,9 +112,7 @@ def index_photos(
     with Workers(len(sources)) as workers:
         read = partial(_read, workers, table, (to.height, to.width, to.resample))
         items = workers.in_order(read, _with_guess(sources, index), ahead=2 * batch_size)
-        run.take_in(
-            run.unknown(items, lambda path: workers.submit(read, (path, False)), batch_size), batch_size
-        )
+        run.take_in(run.unknown(items, lambda path: workers.submit(read, (path, False)), batch_size), batch_size)
     return run.result
 
 
@@ -162,9 +161,7 @@ class _Run:
             held = self._index.find([item.content_hash for item in batch if item.content_hash])
             news = [item for item in batch if item.content_hash not in held]
             # A wrong guess: the file was replaced, or somebody has removed its photo from the index meanwhile.
-            again = {
-                item.path: decode(item.path) for item in news if item.pixels is None and not item.trouble
-            }
+            again = {item.path: decode(item.path) for item in news if item.pixels is None and not item.trouble}
             for number, item in enumerate(batch):
                 if item.path in again:
                     batch[number] = item = again[item.path].result()
@@ -217,9 +214,7 @@ class _Run:
     def _bring_up_to_date(self) -> None:
         """Commit new paths and positions of photos the index held already."""
         if self._stale:
-            self._index.update(
-                [item.photo for item in self._stale], [item.content_hash for item in self._stale]
-            )
+            self._index.update([item.photo for item in self._stale], [item.content_hash for item in self._stale])
             self._stale.clear()
 
     def _skip(self, item: _Item, held: Photo) -> None:
@@ -231,9 +226,7 @@ class _Run:
             with suppress(SaladError):
                 still_there = content_hash(held.path) == item.content_hash
         if still_there:
-            self.result.twins.append(
-                f"{item.path} is a copy of {held.path}, which is in the index: it was skipped"
-            )
+            self.result.twins.append(f"{item.path} is a copy of {held.path}, which is in the index: it was skipped")
         elif path != held.path or any(new is not None and new != old for new, old in news):
             self.result.moved += path != held.path
             self._stale.append(item)

@@ -103,9 +103,7 @@ def row_trouble(row: Sequence[Any]) -> str:
         "time": time is not None and read.time is None,
     }
     named = " and ".join(name for name, bad in wrong.items() if bad)
-    return (
-        named and f"the {named} of {read.path} in the table is damaged: remove the photo and index it again"
-    )
+    return named and f"the {named} of {read.path} in the table is damaged: remove the photo and index it again"
 
 
 class Database:
@@ -185,13 +183,10 @@ class Database:
             if kind in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 text = f"{self.path.parent} is being written by another program: wait until it is done and try again"
             elif kind in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
-                text = (
-                    f"{self.path} cannot be opened for this ({error}): check that you may write to its folder"
-                )
+                text = f"{self.path} cannot be opened for this ({error}): check that you may write to its folder"
             elif kind in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
                 text = (
-                    f"{self.path} cannot be written ({error}): nothing was changed; make room on the disk and try "
-                    "again"
+                    f"{self.path} cannot be written ({error}): nothing was changed; make room on the disk and try again"
                 )
             else:
                 text = f"{self.path} is damaged ({error}): restore it, or index the photos again"
@@ -229,16 +224,12 @@ class Catalog(Database):
         """
         row = self._db.execute("SELECT rows, generation, matrix FROM committed").fetchone()
         if row is None:
-            raise StoreError(
-                f"{self.path} is damaged (no commit in it): restore it, or index the photos again"
-            )
+            raise StoreError(f"{self.path} is damaged (no commit in it): restore it, or index the photos again")
         rows, generation, matrix = row
         counts = isinstance(rows, int) and isinstance(generation, int) and rows >= 0
         # A name with a folder in it, or of another file, would have us write where we must not.
         if not counts or not isinstance(matrix, str) or not _MATRIX.fullmatch(matrix):
-            raise StoreError(
-                f"{self.path} is damaged (its commit says {row}): restore it, or index the photos again"
-            )
+            raise StoreError(f"{self.path} is damaged (its commit says {row}): restore it, or index the photos again")
         # No photo, no row: a damaged number, as large as it may be, must not have us ask for so much memory.
         (listed,) = self._db.execute("SELECT COALESCE(MAX(row), -1) + 1 FROM photos").fetchone()
         return Committed(min(rows, listed), generation, matrix)
@@ -260,9 +251,7 @@ class Catalog(Database):
 
     def live_rows(self, *, start: int = 0) -> npt.NDArray[np.int64]:
         """Rows from `start` on whose photo can be found, ascending."""
-        found = self._db.execute(
-            "SELECT row FROM photos WHERE removed = 0 AND row >= ? ORDER BY row", (start,)
-        )
+        found = self._db.execute("SELECT row FROM photos WHERE removed = 0 AND row >= ? ORDER BY row", (start,))
         return np.fromiter((row for (row,) in found), dtype=np.int64)
 
     def count(self, *, start: int = 0) -> int:
@@ -283,8 +272,7 @@ class Catalog(Database):
         """The rows of the live photos with these contents, by content."""
         return dict(
             self._db.execute(
-                "SELECT identity, row FROM photos "
-                "WHERE removed = 0 AND identity IN (SELECT value FROM json_each(?))",
+                "SELECT identity, row FROM photos WHERE removed = 0 AND identity IN (SELECT value FROM json_each(?))",
                 (json.dumps(list(identities)),),
             ).fetchall()
         )
@@ -301,8 +289,7 @@ class Catalog(Database):
     def find(self, identities: Iterable[str]) -> dict[str, Photo]:
         """The live photos with these contents, by content."""
         found = self._db.execute(
-            f"SELECT {PHOTO}, identity FROM photos "
-            "WHERE removed = 0 AND identity IN (SELECT value FROM json_each(?))",
+            f"SELECT {PHOTO}, identity FROM photos WHERE removed = 0 AND identity IN (SELECT value FROM json_each(?))",
             (json.dumps(list(identities)),),
         )
         return {identity: photo_of_row(fields)[1] for *fields, identity in found}
@@ -341,9 +328,7 @@ class Catalog(Database):
         )
         return [(*photo_of_row(fields), identity) for *fields, identity in found]
 
-    def insert(
-        self, photos: Sequence[Photo], identities: Sequence[str], sums: Sequence[int], *, row: int
-    ) -> None:
+    def insert(self, photos: Sequence[Photo], identities: Sequence[str], sums: Sequence[int], *, row: int) -> None:
         """Write new photos with the checksums of their descriptors, the first of them for matrix row `row`."""
         self._need_sums()
         given = zip(photos, identities, sums, strict=True)

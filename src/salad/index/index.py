@@ -97,9 +97,7 @@ class Index:
         return cls.open(index_folder.make(Path(os.path.realpath(folder)), header))
 
     @classmethod
-    def open(
-        cls, folder: str | Path, *, wait: float = 10.0, searcher: SearcherFactory = ExactSearcher
-    ) -> Index:
+    def open(cls, folder: str | Path, *, wait: float = 10.0, searcher: SearcherFactory = ExactSearcher) -> Index:
         """Open the index in `folder`; a folder that cannot be written can still be searched.
 
         Where the file of descriptors is cut short, the photos it lost are not found; `verify` names them.
@@ -304,9 +302,7 @@ class Index:
                 f"{self.dim} numbers: describe the query with the index's own model"
             )
         if not np.isfinite(queries).all():
-            raise StoreError(
-                "a query's descriptor holds NaN or infinity: check the model and the photo it came from"
-            )
+            raise StoreError("a query's descriptor holds NaN or infinity: check the model and the photo it came from")
         return queries
 
     def photos(self) -> Iterator[Photo]:

@@ -54,8 +54,7 @@ class Header:
             fields = json.loads((folder / HEADER_FILE).read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError) as error:
             raise StoreError(
-                f"{folder} is not an index (it has no {HEADER_FILE}): make one with 'salad index PHOTOS --to "
-                f"{folder}'"
+                f"{folder} is not an index (it has no {HEADER_FILE}): make one with 'salad index PHOTOS --to {folder}'"
             ) from error
         except OSError as error:
             raise StoreError(
@@ -122,9 +121,7 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
     draft = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
     try:
         if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-            raise StoreError(
-                f"{folder} already exists and is not empty: name another folder, or open it to add to it"
-            )
+            raise StoreError(f"{folder} already exists and is not empty: name another folder, or open it to add to it")
         draft.mkdir(parents=True)
         yield draft
         settle(draft)  # its files' names onto the disk before its own says that all are there

@@ -134,9 +134,7 @@ def _records(path: Path) -> Iterator[Record]:
         case _:
             for _, record in read_csv(path, _header, errors="surrogateescape"):
                 if None in record:
-                    raise ValueError(
-                        "it has more fields than the first line (put names with commas in quotes)"
-                    )
+                    raise ValueError("it has more fields than the first line (put names with commas in quotes)")
                 yield record
 
 
@@ -238,14 +236,10 @@ def model_of(folder: str | Path, *, name: str | None = None) -> Source:
     path = Path(folder, _MODEL)
     if not path.exists():
         if not name:
-            raise StoreError(
-                f"{folder} does not say which model its descriptors are of: name it with --model"
-            )
+            raise StoreError(f"{folder} does not say which model its descriptors are of: name it with --model")
         digest = hashlib.blake2b(f"{rows.dim} {name}".encode(), digest_size=8).hexdigest()
         return Source(name, f"foreign-{digest}", rows.dim)
-    damaged = StoreError(
-        f"{path} is damaged or not of a salad export: export again, or delete it and name --model"
-    )
+    damaged = StoreError(f"{path} is damaged or not of a salad export: export again, or delete it and name --model")
     try:
         fields = json.loads(path.read_text(encoding="utf-8"))
         source = Source(fields["model"], fields["fingerprint"], fields["dim"])
@@ -329,9 +323,7 @@ def _one_of(folder: Path, endings: Sequence[str], ours: str, what: str) -> Path:
     try:
         found = sorted(file for file in folder.iterdir() if file.suffix.lower() in endings)
     except OSError as error:
-        raise StoreError(
-            f"{folder} cannot be read ({error.strerror}): give the folder of an export"
-        ) from error
+        raise StoreError(f"{folder} cannot be read ({error.strerror}): give the folder of an export") from error
     found = [file for file in found if file.stem == ours] or found
     if len(found) != 1:
         raise StoreError(
@@ -384,9 +376,7 @@ def merge(into: Index, other: Index) -> Merged:
         known = into.find(page.identities)
         taken = into.taken([photo.path for photo in page.photos])
         news = list(zip(page.photos, page.identities, strict=True))
-        fresh = [
-            n for n, (photo, content) in enumerate(news) if content not in known and photo.path not in taken
-        ]
+        fresh = [n for n, (photo, content) in enumerate(news) if content not in known and photo.path not in taken]
         added += into.add(
             [page.photos[n] for n in fresh],
             page.descriptors[fresh],

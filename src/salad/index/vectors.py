@@ -96,14 +96,10 @@ class FileRows:
                 shape, by_columns, dtype = _NPY_HEADS[npy.read_magic(file)](file)
                 start = file.tell()
         except OSError as error:
-            raise StoreError(
-                f"{path} cannot be read ({error.strerror}): check the name and permissions"
-            ) from error
+            raise StoreError(f"{path} cannot be read ({error.strerror}): check the name and permissions") from error
         except KeyError as error:
             version = ".".join(map(str, error.args[0]))
-            raise StoreError(
-                f"{path} is no .npy file (version {version}): write it with numpy.save"
-            ) from error
+            raise StoreError(f"{path} is no .npy file (version {version}): write it with numpy.save") from error
         except (ValueError, EOFError) as error:
             raise StoreError(f"{path} is no .npy file ({error}): write it with numpy.save") from error
         if len(shape) != 2 or shape[1] < 1 or dtype.type not in _NPY_TYPES or by_columns:
@@ -143,8 +139,7 @@ class FileRows:
                 done += got
         except OSError as error:
             raise StoreError(
-                f"{self.path} cannot be read ({error.strerror}): check the disk, and restore the index if "
-                "it is failing"
+                f"{self.path} cannot be read ({error.strerror}): check the disk, and restore the index if it is failing"
             ) from error
         if stored.dtype != out.dtype:
             with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and told as such

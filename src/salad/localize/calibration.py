@@ -156,9 +156,7 @@ def fit_logistic(evidence: Numbers, right: Flags, weight: Numbers) -> tuple[floa
         BenchmarkError: If all cases are right, or none is.
     """
     if not right.any() or right.all():
-        raise BenchmarkError(
-            "every place found is right, or every one wrong: a calibration needs some of both"
-        )
+        raise BenchmarkError("every place found is right, or every one wrong: a calibration needs some of both")
     signed = evidence * SIGNS
     mean, scale = signed.mean(axis=0), np.maximum(signed.std(axis=0), 1e-6)
     # Standardised, so that the ridge pulls at all of them alike, whatever their units.
@@ -194,12 +192,9 @@ def reliability(predictions: Predictions) -> list[ReliabilityBin | None]:
             continue
         weight = predictions.weight[here]
         sure, right = (
-            float(np.average(values[here], weights=weight))
-            for values in (predictions.confidence, predictions.right)
+            float(np.average(values[here], weights=weight)) for values in (predictions.confidence, predictions.right)
         )
-        bins.append(
-            ReliabilityBin(int(here.sum()), float(weight.sum() / predictions.weight.sum()), sure, right)
-        )
+        bins.append(ReliabilityBin(int(here.sum()), float(weight.sum() / predictions.weight.sum()), sure, right))
     return bins
 
 
@@ -241,9 +236,7 @@ class _Answers(NamedTuple):
         for case in cases:
             place = next(candidates(case.matches, radius_m=RADIUS_M, sharpness=sharpness), None)
             if place is None:
-                raise BenchmarkError(
-                    "a query found no photo with a position: give every photo of the index one"
-                )
+                raise BenchmarkError("a query found no photo with a position: give every photo of the index one")
             first.append(place)
         error = np.array(
             [

@@ -72,8 +72,7 @@ class Answer:
             "place": self.place.as_dict() if self.place else None,
             # The score stands behind the path, before what is known of the photo, as it always has.
             "matches": [
-                {"path": str(match.photo.path), "score": match.score} | match.photo.as_dict()
-                for match in self.matches
+                {"path": str(match.photo.path), "score": match.score} | match.photo.as_dict() for match in self.matches
             ],
             "others": [place.as_dict() for place in self.others],
         }

@@ -39,9 +39,7 @@ def as_geojson(answers: Sequence[Answer]) -> str:
             if match.photo.where is not None:
                 line = [here, _lon_lat(match.photo.where, place.where)]
                 name, score = str(match.photo.path), match.score
-                features.append(
-                    _feature("LineString", line, query=query, kind="match", match=name, score=score)
-                )
+                features.append(_feature("LineString", line, query=query, kind="match", match=name, score=score))
     return json.dumps({"type": "FeatureCollection", "features": features}, ensure_ascii=False, indent=2)
 
 
@@ -79,17 +77,13 @@ def as_gpx(answers: Sequence[Answer], times: Sequence[datetime | None]) -> str:
             order given. A time without a zone is written without one, and compared as if it were UTC.
     """
     stops = [
-        (answer.query.name, answer.place, time)
-        for answer, time in zip(answers, times, strict=True)
-        if answer.place
+        (answer.query.name, answer.place, time) for answer, time in zip(answers, times, strict=True) if answer.place
     ]
     # An order of time that holds for some of them only would be no order.
     dated = [(_utc(time), number) for number, (_, _, time) in enumerate(stops) if time is not None]
     if len(dated) == len(stops):
         stops = [stops[number] for _, number in sorted(dated)]
-    root = ElementTree.Element(
-        "gpx", version="1.1", creator="salad", xmlns="http://www.topografix.com/GPX/1/1"
-    )
+    root = ElementTree.Element("gpx", version="1.1", creator="salad", xmlns="http://www.topografix.com/GPX/1/1")
     track = ElementTree.SubElement(ElementTree.SubElement(root, "trk"), "trkseg")
     for name, place, time in stops:
         lon = round(place.where.lon, 9)

@@ -67,9 +67,7 @@ class Voting(Protocol):
         ...
 
 
-def vote(
-    matches: Sequence[Match], *, radius_m: float = RADIUS_M, calibration: Calibration = GENERIC
-) -> list[Place]:
+def vote(matches: Sequence[Match], *, radius_m: float = RADIUS_M, calibration: Calibration = GENERIC) -> list[Place]:
     """The places that matches vote for, the heaviest first; their order does not matter.
 
     Args:

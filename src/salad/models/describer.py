@@ -46,9 +46,7 @@ class DescriberLike(Protocol):
         """How photos are prepared."""
         ...
 
-    def describe(
-        self, photos: Sequence[PhotoLike], *, batch_size: int = 16
-    ) -> Float32[np.ndarray, "photos dim"]:
+    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> Float32[np.ndarray, "photos dim"]:
         """One row of length 1 for each photo."""
         ...
 
@@ -124,9 +122,7 @@ class Describer:
         """
         # An exported graph has no gradients, and weights that were trained beside it would not be the ones it runs.
         if not isinstance(self.engine, TorchEngine):
-            raise ModelError(
-                f"the model {self.name} runs in {type(self.engine).__name__}, which has no torch module"
-            )
+            raise ModelError(f"the model {self.name} runs in {type(self.engine).__name__}, which has no torch module")
         return self.engine.network
 
     def __call__(self, images: Any) -> Any:
@@ -137,9 +133,7 @@ class Describer:
         """The weights it runs with, under the names they have on disk."""
         return self.engine.weights()
 
-    def describe(
-        self, photos: Sequence[PhotoLike], *, batch_size: int = 16
-    ) -> Float32[np.ndarray, "photos dim"]:
+    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> Float32[np.ndarray, "photos dim"]:
         """Describe photos given as paths, Pillow images or arrays of bytes [height, width, 3].
 
         Returns:
@@ -200,9 +194,7 @@ class Describer:
 
     def share(self, photo: PhotoLike) -> TokenAssignment:
         """The old name of `token_assignment`, which goes with the next release."""
-        warnings.warn(
-            "Describer.share is called Describer.token_assignment now", DeprecationWarning, stacklevel=2
-        )
+        warnings.warn("Describer.share is called Describer.token_assignment now", DeprecationWarning, stacklevel=2)
         return self.token_assignment(photo)
 
 
@@ -217,9 +209,7 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> UInt8[np.ndarray, "height w
         return decode(Path(photo), to.height, to.width, to.resample)
     if isinstance(photo, np.ndarray):
         if photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
-            raise PhotoError(
-                f"an array of {photo.dtype} {photo.shape} is no photo: give uint8 [height, width, 3]"
-            )
+            raise PhotoError(f"an array of {photo.dtype} {photo.shape} is no photo: give uint8 [height, width, 3]")
         # As workers and caches hand photos over: decoded and squeezed for this very model.
         if photo.shape == (to.height, to.width, 3):
             return photo

@@ -104,9 +104,7 @@ class TorchEngine:
         device: Where to run, as torch names it.
     """
 
-    def __init__(
-        self, config: ModelConfig, read: Callable[[], Weights], *, source: Path, device: str = "cpu"
-    ) -> None:
+    def __init__(self, config: ModelConfig, read: Callable[[], Weights], *, source: Path, device: str = "cpu") -> None:
         self.config, self._read, self._source, self._device = config, read, source, str(device)
         self._network: Network | None = None
         self._loading = threading.Lock()  # eight threads that ask at once load it once

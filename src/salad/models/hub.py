@@ -180,9 +180,7 @@ def _settle(part: Path, target: Path, total: int | None, *, sha256: str | None, 
     length = part.stat().st_size
     # Short of bytes it may be gone on with; with wrong ones it may not, or every later attempt would fail too.
     if total is not None and length < total:
-        raise OSError(
-            f"the connection broke off after {length} of {total} bytes, which are kept to go on from"
-        )
+        raise OSError(f"the connection broke off after {length} of {total} bytes, which are kept to go on from")
     found = _sha256(part)
     if any(due not in (None, came) for due, came in ((total, length), (size, length), (sha256, found))):
         part.unlink()

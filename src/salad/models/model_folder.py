@@ -84,9 +84,7 @@ def read_folder(folder: Path, *, device: str = "cpu") -> Describer:
     return Describer(config, engine)
 
 
-def read_published(
-    path: Path, *, heads: int | None = None, name: str | None = None, device: str = "cpu"
-) -> Describer:
+def read_published(path: Path, *, heads: int | None = None, name: str | None = None, device: str = "cpu") -> Describer:
     """A model in one of the published layouts, read strictly.
 
     Raises:
@@ -97,9 +95,7 @@ def read_published(
     return Describer.of(published_network(path, heads=heads, name=name, device=device))
 
 
-def write_folder(
-    model: Weighted, folder: str | Path, *, dtype: str = "float32", overwrite: bool = False
-) -> Path:
+def write_folder(model: Weighted, folder: str | Path, *, dtype: str = "float32", overwrite: bool = False) -> Path:
     """Write a model in our own format; the folder appears whole or not at all.
 
     Args:
@@ -165,9 +161,7 @@ def _read_config(folder: Path) -> ModelConfig:
         # Before anything else is read of it: a newer format may mean something else by the same words.
         version = settings.pop("format")
         if version != FORMAT:
-            raise WeightsError(
-                f"{folder / CONFIG} has format {version}, this salad reads {FORMAT}: upgrade salad-vpr"
-            )
+            raise WeightsError(f"{folder / CONFIG} has format {version}, this salad reads {FORMAT}: upgrade salad-vpr")
         return ModelConfig.from_dict(settings)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
         raise WeightsError(f"{folder / CONFIG} cannot be read: {error}") from error

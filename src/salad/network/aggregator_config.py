@@ -106,9 +106,7 @@ class AggregatorConfig:
         """
         for name in names:
             value = getattr(self, name)
-            if (
-                not isinstance(value, int) or isinstance(value, bool) or value < least
-            ):  # True would count as 1
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:  # True would count as 1
                 raise ModelError(
                     f"{name} of the {self.kind} aggregator is {value!r}: give a whole number, at least {least}"
                 )
@@ -156,18 +154,12 @@ class SaladConfig(AggregatorConfig):
         if not isinstance(self.dustbin, bool):
             raise ModelError(f"dustbin of the salad aggregator is {self.dustbin!r}: give true or false")
         if self.transport not in get_args(Transport):
-            raise ModelError(
-                f"transport {self.transport!r} is unknown: give one of {', '.join(get_args(Transport))}"
-            )
+            raise ModelError(f"transport {self.transport!r} is unknown: give one of {', '.join(get_args(Transport))}")
         wanted = self.dustbin_share
         if wanted is not None and (not isinstance(wanted, int | float) or not 0 < wanted < 1):
-            raise ModelError(
-                f"dustbin_share of the salad aggregator is {wanted!r}: give a share between 0 and 1"
-            )
+            raise ModelError(f"dustbin_share of the salad aggregator is {wanted!r}: give a share between 0 and 1")
         if wanted is not None and (not self.dustbin or self.transport != "sinkhorn"):
-            raise ModelError(
-                "dustbin_share needs a dustbin and the transport sinkhorn: nothing else holds to it"
-            )
+            raise ModelError("dustbin_share needs a dustbin and the transport sinkhorn: nothing else holds to it")
 
     @property
     def dim(self) -> int:
@@ -229,7 +221,7 @@ class RouteConfig(AggregatorConfig):
     cell_dim: int = 32
     weight: float = 1.0
     kind: Literal["salad-route"] = "salad-route"
-    module: ClassVar[str] = "salad.network.aggregators.route:Route"
+    module: ClassVar[str] = "salad.network.aggregators.salad_layout:Route"
     paper: ClassVar[str] = "ours"
 
     def __post_init__(self) -> None:
@@ -237,9 +229,7 @@ class RouteConfig(AggregatorConfig):
         if not isinstance(self.weight, int | float) or not math.isfinite(self.weight) or self.weight < 0:
             raise ModelError(f"weight of the layout is {self.weight!r}: give a finite number, not below 0")
         if not isinstance(self.salad, SaladConfig) or self.salad.width != self.width:
-            raise ModelError(
-                f"salad of the salad-route aggregator must be one for tokens of {self.width} numbers"
-            )
+            raise ModelError(f"salad of the salad-route aggregator must be one for tokens of {self.width} numbers")
 
     @property
     def dim(self) -> int:
@@ -306,9 +296,7 @@ def register_aggregator(config: type[Config]) -> type[Config]:
     # The default stands in the class's fields: with slots, the attribute of the class is the slot and not the value.
     kind = next(str(field.default) for field in dataclasses.fields(config) if field.name == "kind")
     if AGGREGATOR_KINDS.setdefault(kind, config) is not config:
-        raise ModelError(
-            f"there is an aggregator of kind {kind!r} already: give {config.__name__} another kind"
-        )
+        raise ModelError(f"there is an aggregator of kind {kind!r} already: give {config.__name__} another kind")
     return config
 
 

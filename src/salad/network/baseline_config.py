@@ -244,9 +244,7 @@ class BoqConfig(AggregatorConfig):
     def __post_init__(self) -> None:
         self.check_whole("width", "channels", "queries", "blocks", "rows", "heads")
         if self.channels % self.heads:
-            raise ModelError(
-                f"{self.heads} heads do not divide {self.channels} channels of the boq aggregator"
-            )
+            raise ModelError(f"{self.heads} heads do not divide {self.channels} channels of the boq aggregator")
 
     @property
     def dim(self) -> int:
@@ -265,7 +263,5 @@ def _pair(grid: object, kind: str) -> tuple[int, int]:
     # A text is a sequence too, of which each letter would be a side.
     sides = tuple(grid) if isinstance(grid, list | tuple) else ()
     if len(sides) != 2 or not all(type(side) is int and side > 0 for side in sides):
-        raise ModelError(
-            f"grid of the {kind} aggregator is {grid!r}: give its rows and columns, at least 1 each"
-        )
+        raise ModelError(f"grid of the {kind} aggregator is {grid!r}: give its rows and columns, at least 1 each")
     return sides

@@ -88,9 +88,7 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
     try:
         raw: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a foreign pickle may fail in any way; none may run code
-        raise WeightsError(
-            f"{path} is no file of weights that can be read safely ({type(error).__name__})"
-        ) from error
+        raise WeightsError(f"{path} is no file of weights that can be read safely ({type(error).__name__})") from error
     # Lightning wraps the weights, beside optimizers and settings that are of no use here.
     raw = raw.get("state_dict", raw) if isinstance(raw, Mapping) else raw
     if not isinstance(raw, Mapping) or not all(isinstance(value, Tensor) for value in raw.values()):
@@ -137,9 +135,7 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
         raise WeightsError("a tensor has too few axes for its name; the file may be damaged") from error
     for key, value in weights.items():
         if key.startswith("aggregator.") and value.ndim == 4:
-            weights[key] = value.flatten(
-                1
-            )  # a 1 x 1 convolution is the linear layer that we have in its place
+            weights[key] = value.flatten(1)  # a 1 x 1 convolution is the linear layer that we have in its place
     return Published(layout, vit, aggregator, weights)
 
 
@@ -203,9 +199,7 @@ def mean(models: Sequence[Network]) -> Network:
                     f"{names[0]} and {name} differ in their {part}, so their weights have no mean: give models "
                     "built alike"
                 )
-    averaged = build(
-        dataclasses.replace(first, provenance=f"the mean of {', '.join(names)}", calibration=None)
-    )
+    averaged = build(dataclasses.replace(first, provenance=f"the mean of {', '.join(names)}", calibration=None))
     states = [model.state_dict() for model in models]
     for key, weight in averaged.state_dict().items():
         if weight.is_floating_point():

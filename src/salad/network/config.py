@@ -89,9 +89,7 @@ class ConvNextConfig:
     def __post_init__(self) -> None:
         _check_stages("ConvNeXt", self.stages)
         if self.size not in get_args(ConvNextSize):
-            raise ModelError(
-                f"size {self.size!r} of ConvNeXt is unknown: give {' or '.join(get_args(ConvNextSize))}"
-            )
+            raise ModelError(f"size {self.size!r} of ConvNeXt is unknown: give {' or '.join(get_args(ConvNextSize))}")
 
 
 def _check_stages(name: str, stages: object) -> None:
@@ -214,9 +212,7 @@ class Calibration:
             # JSON has NaN and infinity in Python's dialect, and true counts as 1: none of them is a weight.
             real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
             if not real or (value < 0 and name != "bias"):
-                raise ModelError(
-                    f"{name} of the calibration is {value!r}: give a finite number, none below 0"
-                )
+                raise ModelError(f"{name} of the calibration is {value!r}: give a finite number, none below 0")
         if self.radius == 0 or self.min_confidence > 1:
             raise ModelError(
                 f"the calibration's radius {self.radius} must be above 0, its min_confidence "

@@ -133,9 +133,7 @@ def build(config: ModelConfig, *, seed: int = 0) -> Network:
     Raises:
         ModelError: If the configuration's parts do not fit together.
     """
-    with torch.random.fork_rng(
-        devices=[]
-    ):  # whoever draws numbers outside goes on as if nothing had been built
+    with torch.random.fork_rng(devices=[]):  # whoever draws numbers outside goes on as if nothing had been built
         torch.manual_seed(seed)
         return Network(config).eval()
 
@@ -167,7 +165,5 @@ def load_weights(config: ModelConfig, weights: Mapping[str, Any], *, source: Pat
         said = "; ".join(f"{what}: {', '.join(sorted(keys))}" for what, keys in wrong.items() if keys)
         raise WeightsError(f"{source} does not fit the model it describes; {said}")
     # Half precision on disk is a matter of size alone: what runs is float32.
-    network.load_state_dict(
-        {key: torch.as_tensor(weights[key]).to(value.dtype) for key, value in wanted.items()}
-    )
+    network.load_state_dict({key: torch.as_tensor(weights[key]).to(value.dtype) for key, value in wanted.items()})
     return network

@@ -89,9 +89,7 @@ def sinkhorn_assign(
         return sinkhorn(rows, log_rows, rows.new_zeros(tokens), iterations=iterations).exp()
 
 
-def softmax(
-    scores: Float[Tensor, "batch m n"], dustbin: Float[Tensor, ""] | None
-) -> Float[Tensor, "batch rows n"]:
+def softmax(scores: Float[Tensor, "batch m n"], dustbin: Float[Tensor, ""] | None) -> Float[Tensor, "batch rows n"]:
     """Share every token by its own scores alone: a softmax over the clusters and, as the last row, the dustbin.
 
     Returns:

@@ -105,9 +105,7 @@ class Chart:
         """The line as the data of an SVG path; of a very long one only as many corners as can be seen."""
         few = [self.line[n] for n in np.unique(np.linspace(0, len(self.line) - 1, POINTS).astype(int))]
         corners = [f"{self.across(x):.1f} {self.down(y):.1f}" for x, y in few]
-        return "M" + "L".join(
-            [corners[0], *(corner for before, corner in pairwise(corners) if corner != before)]
-        )
+        return "M" + "L".join([corners[0], *(corner for before, corner in pairwise(corners) if corner != before)])
 
 
 PERCENT = Axis("of queries, %", 0, 100, TICKS)

@@ -38,18 +38,14 @@ def write_report(result: Result, page: Path, model: DescriberLike | None = None)
     return missing
 
 
-def draw_report(
-    result: Result, page: Path, model: DescriberLike | None = None
-) -> tuple[str, tuple[str, ...]]:
+def draw_report(result: Result, page: Path, model: DescriberLike | None = None) -> tuple[str, tuple[str, ...]]:
     """What `write_report` writes, whose links to photos begin at `page`, and what it returns.
 
     Raises:
         BenchmarkError: If the result has no recall to show.
     """
     if not result.recall or not result.per_query:
-        raise BenchmarkError(
-            f"the result of {result.model} on {result.benchmark} has no recall to show: judge it anew"
-        )
+        raise BenchmarkError(f"the result of {result.model} on {result.benchmark} has no recall to show: judge it anew")
     shown = sections(result)
     linked = {number for section in shown for number in section.numbers}
 
@@ -87,8 +83,7 @@ def notes(result: Result, missing: tuple[str, ...]) -> list[str]:
     if result.leaks is not None:
         notes.append(f"{several(len(result.leaks), 'photo is', 'photos are')} in both sides.")
         notes += [
-            f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}."
-            for leak in result.leaks[:LISTED]
+            f"{leak.query_path} is the same {leak.kind} as {leak.reference_path}." for leak in result.leaks[:LISTED]
         ]
         if len(result.leaks) > LISTED:
             notes.append(f"So are {len(result.leaks) - LISTED:,} more.")
@@ -101,9 +96,6 @@ def groups(result: Result) -> list[tuple[str, int, float]]:
     for one in result.per_query:
         if one.group is not None and result.counts(one):
             members.setdefault(one.group, []).append(one)
-    rows = [
-        (name, len(those), 100 * sum(one.hit(1) for one in those) / len(those))
-        for name, those in members.items()
-    ]
+    rows = [(name, len(those), 100 * sum(one.hit(1) for one in those) / len(those)) for name, those in members.items()]
     # Of groups equally bad the largest first: it weighs most in the figure above.
     return sorted(rows, key=lambda row: (row[2], -row[1], row[0])) if len(rows) > 1 else []

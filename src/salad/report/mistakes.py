@@ -38,9 +38,7 @@ def counts(results: Sequence[QueryResult]) -> dict[Outcome, int]:
 
 def surest(results: Sequence[QueryResult], kind: Outcome = "wrong", *, most: int = SHOWN) -> list[int]:
     """The answers of one kind with the highest scores, the surest first; numbers from 0."""
-    scored = [
-        (-one.scores[0], number) for number, one in enumerate(results) if one.scores and outcome(one) == kind
-    ]
+    scored = [(-one.scores[0], number) for number, one in enumerate(results) if one.scores and outcome(one) == kind]
     return [number for _, number in sorted(scored)[:most]]
 
 
@@ -149,9 +147,7 @@ class MistakeStrips:
             figures.append(self._photo("missed right", 0, name, "Reference", CaptionPart(f"right: {rank}")))
         else:
             figures.append(Figure("missed", None, "none of the references", caption=(CaptionPart("right"),)))
-        return Strip(
-            number + 1, outcome(one), in_words(one), one.query, figures, one.group or "", marked=marked
-        )
+        return Strip(number + 1, outcome(one), in_words(one), one.query, figures, one.group or "", marked=marked)
 
     def _photo(self, kind: str, side: int, name: str, role: str, *words: CaptionPart) -> Figure:
         path = Path(self.result.folders[side], name)

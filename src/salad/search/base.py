@@ -163,9 +163,7 @@ class Searcher(Protocol):
         """How many rows are searched; some of them may be damaged or lost."""
         ...
 
-    def search(
-        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
-    ) -> Hits:
+    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None) -> Hits:
         """The k best rows of each query; any number of threads may ask at once.
 
         Args:
@@ -214,9 +212,7 @@ def as_mask(allowed: Mask | Filter | None, rows: int) -> Mask | None:
     if allowed is None or (isinstance(allowed, np.ndarray) and allowed.shape == (rows,)):
         return allowed
     given = f"one of shape {list(allowed.shape)}" if isinstance(allowed, np.ndarray) else "a filter"
-    raise SearchError(
-        f"{rows} rows are searched, and a mask says which of them may be found: this is {given}"
-    )
+    raise SearchError(f"{rows} rows are searched, and a mask says which of them may be found: this is {given}")
 
 
 def check_k(k: int) -> None:

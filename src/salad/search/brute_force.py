@@ -43,9 +43,7 @@ class BruteForceSearcher:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def search(
-        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
-    ) -> Hits:
+    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None) -> Hits:
         """The k best rows of each query, as `Searcher.search` says."""
         check_k(k)
         asked, mask = as_queries(queries, self.dim).astype(np.float64), as_mask(allowed, len(self))

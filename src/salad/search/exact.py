@@ -117,9 +117,7 @@ class ExactSearcher:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def search(
-        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
-    ) -> Hits:
+    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None) -> Hits:
         """The k best rows of each query, as `Searcher.search` says.
 
         Raises:
@@ -145,9 +143,7 @@ class ExactSearcher:
         many = len(self) >= _MANY_ROWS and len(queries) >= _MANY_QUERIES and k <= _FEW
         quick = many and any(numkong.get_capabilities().get(name) for name in _BFLOAT16)
         kernel = _COARSE if quick else _HALF
-        batches = [
-            _Batch(some, _Candidates(self._rows, some, k), kernel) for some in _pieces(queries, _BATCH)
-        ]
+        batches = [_Batch(some, _Candidates(self._rows, some, k), kernel) for some in _pieces(queries, _BATCH)]
         threads = max(1, min(self._threads, len(self) * self.dim * len(queries) // _WORK))
         # Four blocks a thread at least, so that a slow one does not keep the others waiting.
         size = max(1, min(_BLOCK // self.dim, -(-len(self) // (4 * threads))))

@@ -55,9 +55,7 @@ class Filter:
         if self.within_m is not None and not 0 <= self.within_m < math.inf:
             raise StoreError(f"a radius of {self.within_m} m cannot be: give metres, 0 or more")
         if self.since and self.until and not in_order(self.since, self.until):
-            raise StoreError(
-                f"no photo was taken since {self.since} and until {self.until}: exchange the two"
-            )
+            raise StoreError(f"no photo was taken since {self.since} and until {self.until}: exchange the two")
         if self.heading is not None and not math.isfinite(self.heading):
             raise StoreError(f"a heading of {self.heading} cannot be: give degrees clockwise from north")
         if not 0 <= self.heading_within <= 180:

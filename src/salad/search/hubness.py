@@ -66,9 +66,7 @@ class Centred:
     def __len__(self) -> int:
         return len(self._searcher)
 
-    def search(
-        self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None
-    ) -> Hits:
+    def search(self, queries: npt.NDArray[np.floating], *, k: int, allowed: Mask | Filter | None = None) -> Hits:
         """The k best rows of each query, as `Searcher.search` says."""
         asked, added = centred(as_queries(queries, self.dim), self._mean)
         hits = self._searcher.search(asked, k=k, allowed=allowed)

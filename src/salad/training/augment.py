@@ -45,9 +45,7 @@ def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
     elif name == "robust":
         changes = robust_changes(height, width)
     elif name != "none":
-        raise ModelError(
-            f"there is no augmentation {name!r}: choose one of {', '.join(get_args(Augmentation))}"
-        )
+        raise ModelError(f"there is no augmentation {name!r}: choose one of {', '.join(get_args(Augmentation))}")
     # In 0..1 again, whatever noise and rounding made of it.
     together = nn.Sequential(*changes, nn.Hardtanh(0, 1))
     return together.requires_grad_(False)  # kornia's policies carry numbers that could be learnt
@@ -121,9 +119,7 @@ def robust_changes(height: int, width: int) -> list[nn.Module]:
         # viewpoint
         k.RandomResizedCrop((height, width), scale=(0.3, 1.0), ratio=(0.6, 1.66)),
         k.RandomPerspective(0.5, p=0.4),
-        k.RandomAffine(
-            10, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4
-        ),
+        k.RandomAffine(10, translate=(0.1, 0.1), scale=(0.65, 1.05), shear=8, padding_mode="reflection", p=0.4),
         # weather and hour
         Fog(p=0.12),
         k.RandomSnow(snow_coefficient=(0.1, 0.5), brightness=(1.2, 2.5), p=0.08),

@@ -253,9 +253,7 @@ def training_preprocessing(model: Network, recipe: Recipe) -> Preprocessing:
     return replace(model.config.preprocessing, height=recipe.size, width=recipe.size)
 
 
-def build_sampler(
-    recipe: Recipe, places: Sequence[TrainingPlace], *, cliques: Sequence[Sequence[int]] = ()
-) -> Sampler:
+def build_sampler(recipe: Recipe, places: Sequence[TrainingPlace], *, cliques: Sequence[Sequence[int]] = ()) -> Sampler:
     """How the recipe draws its batches; mixed ones stand in until cliques are known.
 
     Raises:

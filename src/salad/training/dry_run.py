@@ -22,7 +22,8 @@ from salad.training.augment import augmentation
 from salad.training.batches import build_sampler, check_processes, count_steps, training_preprocessing
 from salad.training.devices import launch_fabric
 from salad.training.gradient_cache import Part, backward_in_parts
-from salad.training.optim import build_optimizer, multi_similarity
+from salad.training.loss import multi_similarity
+from salad.training.optim import build_optimizer
 from salad.training.recipe import Preset, Recipe
 from salad.training.start import is_whole_model, start_backbone
 
@@ -80,9 +81,7 @@ def dry_run(
     if places is not None:
         learn_from, choose_by = recipe.split(places)
         photos = sum(len(place.photos) for place in places)
-        facts["data"] = (
-            f"{photos} photos of {len(learn_from)} places to learn from, {len(choose_by)} to choose by"
-        )
+        facts["data"] = f"{photos} photos of {len(learn_from)} places to learn from, {len(choose_by)} to choose by"
     stages = _planned_stages(recipe, places)
     fabric = launch_fabric(accelerator, recipe.precision)
     facts["measured on"] = f"{fabric.device}, one step of {SAMPLE} photos of noise"
@@ -171,9 +170,7 @@ def measure_step(model: Network, recipe: Recipe, *, fabric: Any, cached: bool) -
             part = augment(noise)
         counter = _HeldBytes()
         with counter:
-            backward_in_parts(
-                fabric, module.train(), parts=[part], labels=labels, objective=objective, seed=0
-            )
+            backward_in_parts(fabric, module.train(), parts=[part], labels=labels, objective=objective, seed=0)
         optimizer.step()
         optimizer.zero_grad()
         seconds, held = min(seconds, time.perf_counter() - began), counter.bytes

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from salad.network.tokens import Tokens
 from salad.training.devices import combined_seed, gather_slices, rank_slice
-from salad.training.optim import Objective
+from salad.training.loss import Objective
 
 Part = Float[Tensor, "batch 3 height width"] | Tokens
 """What is described at once: normalised photos, or the tokens of as many."""

@@ -79,9 +79,7 @@ def mine(
     return greedy_cliques(likeness, near, size)
 
 
-def _described(
-    model: DescriberLike, places: Sequence[TrainingPlace], images: ImageCache, path: Path
-) -> FileRows:
+def _described(model: DescriberLike, places: Sequence[TrainingPlace], images: ImageCache, path: Path) -> FileRows:
     """Describe the middle photo of each place, into a file: descriptors of all may be more than memory holds."""
     path.touch()
     for start in range(0, len(places), _AT_ONCE):
@@ -104,9 +102,7 @@ def greedy_cliques(likeness: Likeness, near: Neighbours, size: int) -> list[list
         near: who is near whom.
         size: most places of a clique.
     """
-    order = sorted(
-        range(len(likeness)), key=lambda number: (-max(likeness[number].values(), default=-1.0), number)
-    )
+    order = sorted(range(len(likeness)), key=lambda number: (-max(likeness[number].values(), default=-1.0), number))
     free, cliques = set(order), list[list[int]]()
     for first in order:
         if first not in free:

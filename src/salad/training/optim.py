@@ -1,19 +1,13 @@
-"""What moves the weights: the loss, AdamW with a rate for the head and one for the backbone, and how the rates go."""
+"""What moves the weights: AdamW with a rate for the head and one for the backbone, and how the rates go."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
-from jaxtyping import Float, Int64
-from torch import Tensor, nn
+from torch import nn
 
-from salad.errors import MissingExtraError, ModelError
+from salad.errors import ModelError
 from salad.network.network import Network
 from salad.training.recipe import Recipe
-
-Objective = Callable[[Float[Tensor, "batch dim"], Int64[Tensor, " batch"]], Float[Tensor, ""]]
-"""Descriptors and the place each shows -> loss."""
 
 
 def build_optimizer(model: Network, recipe: Recipe) -> torch.optim.Optimizer:
@@ -70,33 +64,3 @@ def update_average(average: nn.Module, model: nn.Module, *, decay: float, step: 
     # Statistics of a normalisation are averages already, and a count of batches has none.
     for buffer, current in zip(average.buffers(), model.buffers(), strict=True):
         buffer.copy_(current)
-
-
-def multi_similarity(
-    *, alpha: float = 1.0, beta: float = 50.0, base: float = 0.0, margin: float = 0.1
-) -> Objective:
-    """The multi-similarity loss on the pairs worth learning from, as the paper sets it.
-
-    Source: Wang et al., "Multi-Similarity Loss with General Pair Weighting for Deep Metric Learning", CVPR 2019.
-
-    Args:
-        alpha: weight of pairs of one place.
-        beta: weight of pairs of two places.
-        base: similarity at which a pair is content.
-        margin: the miner keeps a pair that is within this of the hardest one of the other kind.
-
-    Raises:
-        MissingExtraError: If pytorch-metric-learning is not installed.
-    """
-    try:
-        from pytorch_metric_learning import distances, losses, miners
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
-    loss = losses.MultiSimilarityLoss(alpha, beta, base, distance=distances.DotProductSimilarity())
-    miner = miners.MultiSimilarityMiner(margin, distance=distances.CosineSimilarity())
-
-    def objective(descriptors: Tensor, labels: Tensor) -> Tensor:
-        value: Tensor = loss(descriptors, labels, miner(descriptors, labels))
-        return value
-
-    return objective

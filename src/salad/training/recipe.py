@@ -122,9 +122,7 @@ class Recipe:
             value, up_to_one = getattr(self, name), name in ("last", "tuned_share")
             # Nothing could be learnt from with all places held out, and an average of decay 1 never moves.
             if value > 1 or (value == 1 and not up_to_one):
-                raise ModelError(
-                    f"{name} of the recipe is {value}: give a share {'up to' if up_to_one else 'below'} 1"
-                )
+                raise ModelError(f"{name} of the recipe is {value}: give a share {'up to' if up_to_one else 'below'} 1")
         if self.clip is not None and self.clip == 0:
             raise ModelError("clip of the recipe is 0, so that nothing is ever learnt: give more, or none")
         if self.full_steps and self.size is None:
@@ -296,16 +294,12 @@ PRESETS: dict[str, Preset] = {
         recipe=PAPER,
     ),
     "small": Preset(
-        model=ModelConfig(
-            name="small", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=SMALL_PHOTO
-        ),
+        model=ModelConfig(name="small", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=SMALL_PHOTO),
         start="imagenet",
         recipe=Recipe(head_steps=40, tune_steps=160, trunk_rate=4e-4, warmup=10, average=0.97),
     ),
     "head": Preset(
-        model=ModelConfig(
-            name="head", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=LITE_PHOTO
-        ),
+        model=ModelConfig(name="head", backbone=LiteConfig(), aggregator=SMALL_HEAD, preprocessing=LITE_PHOTO),
         start="imagenet",
         recipe=Recipe(head_steps=1000, tune_steps=0, tuned_blocks=0, cache_versions=4, measure_every=100),
     ),

@@ -13,7 +13,7 @@ from salad.errors import MissingExtraError, WeightsError
 from salad.models.hub import ZOO, fetch
 from salad.models.model_folder import read_folder
 from salad.network.aggregator_config import RouteConfig, SaladConfig
-from salad.network.aggregators.route import Route
+from salad.network.aggregators.salad_layout import Route
 from salad.network.backbones.resnet_convnext import own_names
 from salad.network.checkpoints import read_tensors
 from salad.network.config import LiteConfig, LiteKind

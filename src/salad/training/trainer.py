@@ -27,14 +27,9 @@ from salad.training.checkpoint import TrainingState
 from salad.training.devices import launch_fabric, step_seed
 from salad.training.gradient_cache import Part, backward_in_parts
 from salad.training.logger import RunLogger, Say
+from salad.training.loss import multi_similarity
 from salad.training.mining import mine
-from salad.training.optim import (
-    build_optimizer,
-    learning_rate_factor,
-    multi_similarity,
-    set_learning_rates,
-    update_average,
-)
+from salad.training.optim import build_optimizer, learning_rate_factor, set_learning_rates, update_average
 from salad.training.recipe import Preset, Recipe
 from salad.training.start import start_backbone
 from salad.training.token_cache import TokenCache
@@ -152,9 +147,7 @@ class _Stage:
 class _Trainer:
     """Walks the numbered steps of a run's two stages, from wherever the run stands."""
 
-    def __init__(
-        self, state: TrainingState, batches: BatchLoader, logger: RunLogger, *, tokens: Path
-    ) -> None:
+    def __init__(self, state: TrainingState, batches: BatchLoader, logger: RunLogger, *, tokens: Path) -> None:
         self.state, self.batches, self.logger, self.tokens = state, batches, logger, tokens
         self.recipe: Recipe = batches.recipe
         self.fabric, self.objective = batches.fabric, multi_similarity()

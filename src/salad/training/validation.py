@@ -21,9 +21,7 @@ Judge = Callable[[Describer], dict[str, float]]
 """A model -> figures, higher ones better; `mean` is the score it is chosen by."""
 
 
-def precision_held_out(
-    model: DescriberLike, places: Sequence[TrainingPlace], images: ImageCache
-) -> dict[str, float]:
+def precision_held_out(model: DescriberLike, places: Sequence[TrainingPlace], images: ImageCache) -> dict[str, float]:
     """How well each city's newest photos find all others of their place: mean average precision in percent.
 
     Every photo of the places held out is searched but the query itself. R@1 is too coarse to choose by: one photo of

@@ -61,14 +61,10 @@ def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     )
 
 
-def _side(
-    path: Path, names: Any, metres: Any, tried: Iterable[Path], zone: str
-) -> tuple[PhotoList, Coordinates]:
+def _side(path: Path, names: Any, metres: Any, tried: Iterable[Path], zone: str) -> tuple[PhotoList, Coordinates]:
     """One side's photos, below the first of some folders that holds them, and where they stand."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise BenchmarkError(
-            f"the dbStruct of {path} lacks a list of photos: take the file the data set comes with"
-        )
+        raise BenchmarkError(f"the dbStruct of {path} lacks a list of photos: take the file the data set comes with")
     if not isinstance(metres, np.ndarray) or metres.shape != (2, len(names)) or not np.isfinite(metres).all():
         raise BenchmarkError(
             f"the dbStruct of {path} should hold 2 x {len(names)} metres for its {len(names)} photos: take the file "

@@ -70,9 +70,7 @@ def read(root: Path, _found: Path, _: Protocol) -> Sides:
     notes: list[str] = []
     places = read_gsv_cities(root, say=notes.append)
     if not places:
-        raise BenchmarkError(
-            f"{root} holds no place of four photos: fetch its Images, or name another folder"
-        )
+        raise BenchmarkError(f"{root} holds no place of four photos: fetch its Images, or name another folder")
     # Photos stand oldest first: who asks comes after those who are asked, as in use.
     theirs = [(place, photo) for place in places for photo in place.photos[:-1]]
     return Sides(

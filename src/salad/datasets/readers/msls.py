@@ -123,9 +123,7 @@ def read(_: Path, base: Path, protocol: Protocol) -> Sides:
         number = 0 if math.isnan(lon) else int(np.clip((lon + 180) // 6 + 1, 1, 60))
         zones.append(number if lat >= 0 else -number)
     panoramas = sum(part.panoramas for part in (*theirs, *ours))
-    (references, their_places), (queries, our_places) = (
-        _side(base, parts, zones) for parts in (theirs, ours)
-    )
+    (references, their_places), (queries, our_places) = (_side(base, parts, zones) for parts in (theirs, ours))
     return Sides(
         references,
         queries,
@@ -147,9 +145,7 @@ def _part(base: Path, side: str, subset: str) -> _Part:
     drives = columns(ordered, ("key", "sequence_key"))
     # The tables belong together by the order of their rows; sorted anew, one would give photos others' places.
     if not seen["key"] == metric["key"] == drives["key"]:
-        raise BenchmarkError(
-            f"the tables of {folder} do not name the same photos in one order: fetch them again"
-        )
+        raise BenchmarkError(f"the tables of {folder} do not name the same photos in one order: fetch them again")
     panoramas = truths(raw, "pano", seen["pano"])
     taken = ~panoramas
     # The table of subsets has no keys of its own, only as many rows.
@@ -176,9 +172,7 @@ def _side(base: Path, parts: list[_Part], zones: list[int]) -> tuple[PhotoList, 
     """The photos of all cities, each city's metres counted in its own zone."""
     names = [name for part in parts for name in part.names]
     metres = np.concatenate([part.metres for part in parts])
-    zone: Int64[np.ndarray, " n"] = np.repeat(
-        np.array(zones, dtype=np.int64), [len(part.names) for part in parts]
-    )
+    zone: Int64[np.ndarray, " n"] = np.repeat(np.array(zones, dtype=np.int64), [len(part.names) for part in parts])
     lat_lon = lat_lon_of(metres, zone)
     # A photo's metres may be broken where its degrees are not, and it need not be lost for that.
     off_grid = np.isnan(lat_lon[:, 0])
@@ -191,8 +185,7 @@ LAYOUT = Layout(
     "MSLS tables",
     "train_val/<city>/{query,database}/ with four tables",
     lambda protocol: [
-        f"train_val/{city}/{{query,database}}/{{{','.join(TABLES)}}}"
-        for city in CITIES.get(protocol.split, ())
+        f"train_val/{city}/{{query,database}}/{{{','.join(TABLES)}}}" for city in CITIES.get(protocol.split, ())
     ],
     find,
     read,

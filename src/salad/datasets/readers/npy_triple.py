@@ -62,9 +62,7 @@ def read(root: Path, path: Path, protocol: Protocol) -> Sides:
 def _beside(path: Path, *names: str) -> Path:
     found = next((file for name in names if (file := file_of(path.parent, [name])) is not None), None)
     if found is None:
-        raise BenchmarkError(
-            f"beside {path} there is no {' or '.join(names)}: fetch it from where that file is from"
-        )
+        raise BenchmarkError(f"beside {path} there is no {' or '.join(names)}: fetch it from where that file is from")
     return found
 
 

@@ -59,9 +59,9 @@ class _TwoFolders:
 # People call their folders in many ways, and `looked for` should name them all.
 _OWN = [f"{references}/ and {queries}/" for references, queries in SIDES]
 
-DRIVES = _TwoFolders(
-    lambda root: sides_in(root, (("ref", "query"), ("refs", "queries"))), order=in_order
-).layout("drives", "ref/0000000.jpg and query/0000000.jpg", "ref/ and query/ of numbered photos")
+DRIVES = _TwoFolders(lambda root: sides_in(root, (("ref", "query"), ("refs", "queries"))), order=in_order).layout(
+    "drives", "ref/0000000.jpg and query/0000000.jpg", "ref/ and query/ of numbered photos"
+)
 PAIRS = _TwoFolders(lambda root: sides_in(root, (("new", "old"),))).layout(
     "pairs", "new/<name>.png and old/<name>.jpg", "new/ and old/ of photos of the same names"
 )

@@ -26,9 +26,7 @@ class Canvas:
         fits: Whether it is stretched over a face of any size, instead of repeating at its own scale.
     """
 
-    def __init__(
-        self, width: float, height: float, colour: Paint, grain: float = GRAIN, *, fits: bool = True
-    ) -> None:
+    def __init__(self, width: float, height: float, colour: Paint, grain: float = GRAIN, *, fits: bool = True) -> None:
         self.width, self.height, self.grain, self.fits = width, height, grain, fits
         # Two texels at least, or a texture has no inside to sample.
         shape = max(2, round(height * grain)), max(2, round(width * grain))
@@ -40,9 +38,7 @@ class Canvas:
         """The rows and columns of a rectangle, cut off at the edges."""
         rows, columns = self.kind.shape
         # Rows count from the top, metres from the ground.
-        limits = np.array(
-            [rows - high * self.grain, rows - low * self.grain, left * self.grain, right * self.grain]
-        )
+        limits = np.array([rows - high * self.grain, rows - low * self.grain, left * self.grain, right * self.grain])
         top, bottom, start, stop = (int(limit) for limit in np.floor(limits + 0.5).clip(0))
         return slice(min(top, rows), min(bottom, rows)), slice(min(start, columns), min(stop, columns))
 
@@ -85,9 +81,7 @@ class Canvas:
         ImageDraw.Draw(ink).text((4, 2), text, fill=255, font=font)
         ink = ink.crop(ink.getbbox())
         scale = min(height / ink.height, width / ink.width)
-        small = ink.resize(
-            (max(1, int(ink.width * scale)), max(1, int(ink.height * scale))), Image.Resampling.BOX
-        )
+        small = ink.resize((max(1, int(ink.width * scale)), max(1, int(ink.height * scale))), Image.Resampling.BOX)
         cover = np.asarray(small, np.float32)[..., None] / 255
         top = rows.start + (height - small.height) // 2
         start = columns.start + (width - small.width) // 2
@@ -185,8 +179,6 @@ def _boards(shape: tuple[int, int], rng: np.random.Generator) -> Floats:
 # Walls that are more than a colour; plaster is not.
 MATERIALS: dict[str, Callable[[tuple[int, int], np.random.Generator], Floats]] = {
     "brick": lambda shape, rng: _blocks(shape, rng, 3, 8, 0.1, float(rng.choice([1.22, 0.8]))),
-    "stone": lambda shape, rng: _blocks(
-        shape, rng, int(rng.integers(10, 16)), int(rng.integers(20, 32)), 0.06, 0.72
-    ),
+    "stone": lambda shape, rng: _blocks(shape, rng, int(rng.integers(10, 16)), int(rng.integers(20, 32)), 0.06, 0.72),
     "boards": _boards,
 }

@@ -175,9 +175,7 @@ class Facade(Canvas):
             for place in np.arange(left, right - 0.15, 0.24):
                 if rng.random() < 0.75:
                     colour = rng.integers(50, 225, 3) * 0.55 + rng.uniform(30, 90)
-                    self.rect(
-                        place, shelf + 0.05, place + 0.19, shelf + 0.05 + rng.uniform(0.15, 0.55), colour
-                    )
+                    self.rect(place, shelf + 0.05, place + 0.19, shelf + 0.05 + rng.uniform(0.15, 0.55), colour)
 
     def painted_sign(self) -> None:
         """An old advertisement on a bare wall."""

@@ -83,9 +83,7 @@ class Ground:
         high = (heights(plan, ()).values > 0).astype(np.float32)
         for axis in (0, 1):
             high = np.mean([np.roll(high, step, axis) for step in range(-3, 4)], axis=0, dtype=np.float32)
-        return cls(
-            Field(found, west, south), Field(high, west, south), noise((512, 512), [plan.seed, 51], 8, 6)
-        )
+        return cls(Field(found, west, south), Field(high, west, south), noise((512, 512), [plan.seed, 51], 8, 6))
 
     def colours(self, east: Floats, north: Floats, depth: Floats) -> Floats:
         """Colours ``[N, 3]`` of the ground at points ``[N]``, seen from `depth` metres."""
@@ -121,9 +119,7 @@ class Ground:
         bay = (np.abs(aside - 2.15) < 0.05) & (end > 13) & (end % 5.9 < 4)
         rgb[(dash | stripe | stop | bay) & worn] = (206, 204, 196)
 
-    def _paving(
-        self, rgb: Floats, aside: Floats, end: Floats, coarse: Floats, fine: Floats, depth: Floats
-    ) -> None:
+    def _paving(self, rgb: Floats, aside: Floats, end: Floats, coarse: Floats, fine: Floats, depth: Floats) -> None:
         kerb = aside > ROAD
         rgb[kerb] = (166, 162, 154)
         rgb[kerb & (aside < ROAD + 0.18)] = (188, 186, 180)

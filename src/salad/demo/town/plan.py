@@ -169,9 +169,7 @@ class Street:
 
     def plot(self, side: int, along: float, rng: np.random.Generator) -> tuple[Points, float]:
         """The corners of a plot that starts `along` metres up the street, on its left (1) or right (-1)."""
-        width = float(
-            rng.choice([rng.uniform(5.2, 8), rng.uniform(8, 11), rng.uniform(11, 15)], p=[0.4, 0.4, 0.2])
-        )
+        width = float(rng.choice([rng.uniform(5.2, 8), rng.uniform(8, 11), rng.uniform(11, 15)], p=[0.4, 0.4, 0.2]))
         setback = FRONT + float(rng.choice([0.0, 0.0, rng.uniform(0.1, 0.7)]))
         ends = []
         for place in (along, along + width):

@@ -45,9 +45,7 @@ class Texture:
     fits: bool = True
 
     @classmethod
-    def of(
-        cls, rgb: NDArray[np.generic], kind: Bytes, pixels_per_metre: float, *, fits: bool = True
-    ) -> Texture:
+    def of(cls, rgb: NDArray[np.generic], kind: Bytes, pixels_per_metre: float, *, fits: bool = True) -> Texture:
         """Halve `rgb` (averaged) and `kind` (every other one) until a side would vanish."""
         # Averages are taken of the unrounded level before, or rounding would darken the distance.
         colours = np.clip(rgb, 0, 255).astype(np.float32)
@@ -116,9 +114,7 @@ class Faces:
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Corners and edges as ``[F, 3]`` each."""
-        corner, right, up = (
-            np.array(part, np.float64).reshape(-1, 3) for part in (self.corner, self.right, self.up)
-        )
+        corner, right, up = (np.array(part, np.float64).reshape(-1, 3) for part in (self.corner, self.right, self.up))
         return corner, right, up
 
     def outward_normals(self, camera: Camera) -> NDArray[np.float64]:
@@ -195,9 +191,7 @@ class Seen:
         columns = np.arange(left, stop, dtype=np.float32)
         rows = np.arange(top, bottom, dtype=np.float32)
         nearness = plane[0, 0] * columns + (plane[0, 1] * rows + plane[0, 2])[:, None]
-        open_rows, open_columns = np.nonzero(
-            (nearness > self.nearness[top:bottom, left:stop]) & (nearness < 1 / NEAR)
-        )
+        open_rows, open_columns = np.nonzero((nearness > self.nearness[top:bottom, left:stop]) & (nearness < 1 / NEAR))
         if not len(open_rows):
             return
         near = nearness[open_rows, open_columns]

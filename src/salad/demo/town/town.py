@@ -137,13 +137,10 @@ def read_town(folder: str | Path) -> Town:
     asked = tuple(folder / "queries" / name for name in truth)
     missing = [path for path in photos + asked if not path.is_file()]
     if missing:
-        raise BenchmarkError(
-            f"the town in {folder} lacks {missing[0].name}: draw it again into an empty folder"
-        )
+        raise BenchmarkError(f"the town in {folder} lacks {missing[0].name}: draw it again into an empty folder")
     # JSON has lists, a town holds tuples.
     lines, corners = (
-        tuple(tuple(GeoPoint(*point) for point in shape) for shape in described[key])
-        for key in ("streets", "blocks")
+        tuple(tuple(GeoPoint(*point) for point in shape) for shape in described[key]) for key in ("streets", "blocks")
     )
     conditions = {name: str(entry["condition"]) for name, entry in described["truth"].items()}
     return Town(photos, asked, truth, conditions, lines, corners)
@@ -206,18 +203,14 @@ def _clear(folder: Path) -> None:
         # The folder may be somebody's own: only what a town consists of is ever deleted.
         foreign = sorted(path.name for path in folder.iterdir() if path.name not in ours)
         if foreign:
-            raise BenchmarkError(
-                f"{folder} holds {foreign[0]}, which no town does: draw into an empty folder"
-            )
+            raise BenchmarkError(f"{folder} holds {foreign[0]}, which no town does: draw into an empty folder")
         # The description goes first, so that no stop on the way leaves a town that seems whole.
         (folder / "town.json").unlink(missing_ok=True)
         for part in ("references", "queries"):
             shutil.rmtree(folder / part, ignore_errors=True)
             (folder / part).mkdir()
     except OSError as error:
-        raise BenchmarkError(
-            f"no town can be drawn into {folder} ({error}): choose another folder"
-        ) from error
+        raise BenchmarkError(f"no town can be drawn into {folder} ({error}): choose another folder") from error
 
 
 def _described(plan: TownPlan, shots: list[Shot]) -> dict[str, Any]:
@@ -247,11 +240,7 @@ def _read_json(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads((folder / "town.json").read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BenchmarkError(
-            f"{folder} holds no finished town ({error}): draw one there with draw_town"
-        ) from error
+        raise BenchmarkError(f"{folder} holds no finished town ({error}): draw one there with draw_town") from error
     if not isinstance(content, dict) or content.get("version") != VERSION:
-        raise BenchmarkError(
-            f"{folder}/town.json is not of version {VERSION}: draw the town again with draw_town"
-        )
+        raise BenchmarkError(f"{folder}/town.json is not of version {VERSION}: draw the town again with draw_town")
     return content

@@ -53,9 +53,7 @@ class Mixer(nn.Module):
 
     def __init__(self, cells: int, hidden: int) -> None:
         super().__init__()
-        self.mix = nn.Sequential(
-            nn.LayerNorm(cells), nn.Linear(cells, hidden), nn.ReLU(), nn.Linear(hidden, cells)
-        )
+        self.mix = nn.Sequential(nn.LayerNorm(cells), nn.Linear(cells, hidden), nn.ReLU(), nn.Linear(hidden, cells))
 
     def forward(self, x: Float[Tensor, "batch d n"]) -> Float[Tensor, "batch d n"]:
         """Let every cell of a channel see all its cells."""

@@ -51,9 +51,7 @@ class Gem(nn.Module):
         return F.normalize(generalised_mean(tokens.patches, self.power), dim=1)
 
 
-def generalised_mean(
-    patches: Float[Tensor, "batch n d"], power: Float[Tensor, ""] | float
-) -> Float[Tensor, "batch d"]:
+def generalised_mean(patches: Float[Tensor, "batch n d"], power: Float[Tensor, ""] | float) -> Float[Tensor, "batch d"]:
     """The mean of powers, brought back: 1 is the plain mean, a high power the maximum; below 0 counts as 0."""
     # Below 0 a broken power has no value, and at 0 its gradient has none.
     return patches.clamp(min=LEAST).pow(power).mean(dim=1).pow(1 / power)

@@ -55,9 +55,7 @@ class SamePadConv2d(nn.Conv2d):
     def __init__(self, inside: int, out: int, *, kernel: int = 1, stride: int = 1, groups: int = 1) -> None:
         super().__init__(inside, out, kernel, stride=stride, groups=groups, bias=False)
 
-    def normalised(
-        self, x: Float[Tensor, "batch c h w"], norm: nn.BatchNorm2d
-    ) -> Float[Tensor, "batch c2 h2 w2"]:
+    def normalised(self, x: Float[Tensor, "batch c h w"], norm: nn.BatchNorm2d) -> Float[Tensor, "batch c2 h2 w2"]:
         """Convolve and normalise by `norm`'s own statistics, which are fixed: so both are one filter.
 
         Folding them spares two passes over the widest tensors, in use and in training; gradients reach the
@@ -92,9 +90,7 @@ class InvertedResidual(nn.Module):
         wide = inside * shape.expand
         self._expand_conv = SamePadConv2d(inside, wide) if shape.expand > 1 else None
         self._bn0 = _norm(wide) if shape.expand > 1 else None
-        self._depthwise_conv = SamePadConv2d(
-            wide, wide, kernel=shape.kernel, stride=shape.stride, groups=wide
-        )
+        self._depthwise_conv = SamePadConv2d(wide, wide, kernel=shape.kernel, stride=shape.stride, groups=wide)
         self._bn1 = _norm(wide)
         self._project_conv = SamePadConv2d(wide, shape.out)
         self._bn2 = _norm(shape.out)

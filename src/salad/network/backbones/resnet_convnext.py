@@ -63,9 +63,7 @@ class ResNet(Staged):
         super().__init__()
         transformers = _transformers("a ResNet")
         depths, widths = zip(*RESNET50[: config.stages], strict=True)
-        whole = transformers.ResNetModel(
-            transformers.ResNetConfig(depths=list(depths), hidden_sizes=list(widths))
-        )
+        whole = transformers.ResNetModel(transformers.ResNetConfig(depths=list(depths), hidden_sizes=list(widths)))
         self.config, self.width = config, widths[-1]
         self.stride = FIRST_STRIDE * 2 ** (config.stages - 1)
         # What pools and classifies is left out, so that a state dict holds what the tokens come from and no more.
@@ -105,17 +103,13 @@ class ConvNext(Staged):
         transformers = _transformers("a ConvNeXt")
         depths, widths = zip(*CONVNEXT[config.size][: config.stages], strict=True)
         whole = transformers.ConvNextModel(
-            transformers.ConvNextConfig(
-                num_stages=config.stages, depths=list(depths), hidden_sizes=list(widths)
-            )
+            transformers.ConvNextConfig(num_stages=config.stages, depths=list(depths), hidden_sizes=list(widths))
         )
         self.config, self.width = config, widths[-1]
         self.stride = FIRST_STRIDE * 2 ** (config.stages - 1)
         self.embeddings = whole.embeddings
         self.encoder = nn.ModuleDict({"stages": whole.encoder.stages})
-        self.norm = nn.LayerNorm(
-            self.width, eps=1e-6
-        )  # as wide as the cut, where the whole model's is of its end
+        self.norm = nn.LayerNorm(self.width, eps=1e-6)  # as wide as the cut, where the whole model's is of its end
 
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""

@@ -55,17 +55,13 @@ def read(root: Path, path: Path, protocol: Protocol) -> Sides:
     )
 
 
-def _lists(
-    root: Path, path: Path, protocol: Protocol, arrays: dict[str, Arrays]
-) -> tuple[list[str], list[str]]:
+def _lists(root: Path, path: Path, protocol: Protocol, arrays: dict[str, Arrays]) -> tuple[list[str], list[str]]:
     """Names of references and of queries."""
     for references, queries in _LISTS:
         if references in arrays and queries in arrays:
             return arrays[references].texts(), arrays[queries].texts()
     stems = dict.fromkeys([path.stem, *protocol.stems])
-    files = [
-        file_of(root, [f"{stem}_imageNames_{side}.txt" for stem in stems]) for side in ("index", "query")
-    ]
+    files = [file_of(root, [f"{stem}_imageNames_{side}.txt" for stem in stems]) for side in ("index", "query")]
     if files[0] is None or files[1] is None:
         raise BenchmarkError(
             f"{path} comes with two lists of names, {path.stem}_imageNames_index.txt and ..._query.txt, which are not "
@@ -88,9 +84,7 @@ def _metres(path: Path, given: Arrays, count: int) -> Float64[np.ndarray, "n 2"]
     if metres.shape != (count, 2) and metres.shape == (2, count):
         metres = metres.T
     if metres.shape != (count, 2) or not np.isfinite(metres).all():
-        raise BenchmarkError(
-            f"{path} should hold metres for {count} photos, but has {metres.shape}: fetch both again"
-        )
+        raise BenchmarkError(f"{path} should hold metres for {count} photos, but has {metres.shape}: fetch both again")
     return np.ascontiguousarray(metres)
 
 

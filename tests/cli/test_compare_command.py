@@ -14,7 +14,7 @@ from PIL import Image
 from made_results import a_result, put
 from salad.ablation.run_result import read_result, run_folder
 from salad.cli import main as commands
-from salad.cli.compare import CompareCommand, benchmark_by_rule
+from salad.cli.compare_command import CompareCommand, benchmark_by_rule
 from salad.errors import BenchmarkError
 
 
@@ -66,9 +66,7 @@ def test_a_grid_is_trained_measured_and_told(cli: Any, photos: Any, data: Path, 
     assert "of 2 runs" not in again.err
 
 
-def test_heads_alone_are_compared_under_a_frozen_backbone(
-    cli: Any, photos: Any, data: Path, tmp_path: Path
-) -> None:
+def test_heads_alone_are_compared_under_a_frozen_backbone(cli: Any, photos: Any, data: Path, tmp_path: Path) -> None:
     to = tmp_path / "runs"
     ran = cli(
         *(
@@ -95,9 +93,7 @@ def test_heads_alone_are_compared_under_a_frozen_backbone(
     assert untrained.preset["recipe"]["head_steps"] == 0
     assert {one.preset["recipe"]["tuned_blocks"] for one in (trained, untrained)} == {0}
     assert trained.parameters["trained"] == 1  # the mean's power
-    assert (
-        "32 x 32 pixels, the backbone frozen and 4 versions of each photo kept as tokens, unless" in ran.out
-    )
+    assert "32 x 32 pixels, the backbone frozen and 4 versions of each photo kept as tokens, unless" in ran.out
     refusal = refused(cli("compare", "--grid", "blocks", "--to", to, "--frozen"))
     assert "compares how many blocks are trained: leave --frozen out" in refusal
 
@@ -109,10 +105,7 @@ def test_the_tables_are_made_again_from_the_results_there_are(cli: Any, tmp_path
     small, full = (line for line in ran.out.splitlines() if line.startswith(("| small", "| full")))
     assert "| 50.5 ± 0.7 | 70.8 | 89.3 | 61.2 | 93.0 | 88.5 | 10 | 544 | 2.5 | 60.5 | 2 |" in small
     assert "| 90.0 | 75.0 | 92.2 |" in full
-    assert (
-        "starts from a.pth (SHA-256 ffffffffffff) and takes 4 steps of 16 places x 4 photos at 32 x 32"
-        in ran.out
-    )
+    assert "starts from a.pth (SHA-256 ffffffffffff) and takes 4 steps of 16 places x 4 photos at 32 x 32" in ran.out
     assert "Seeds: 0, 1." in ran.out
     assert "20 places, 80 photos (set 20; digest d), 20% of the places held out" in ran.out
     assert "Made 2026-01-02 with salad 1, torch 2 on Any, 2 cores, 1 threads, measured on cpu." in ran.out
@@ -187,7 +180,7 @@ def test_the_command_line_starts_without_torch() -> None:
     import subprocess
     import sys
 
-    code = "import sys, salad.cli.compare, salad.ablation.comparison_tables; print('torch' in sys.modules)"
+    code = "import sys, salad.cli.compare_command, salad.ablation.comparison_tables; print('torch' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "False"
 

@@ -28,7 +28,7 @@ from salad.cli.arguments import (
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
-    from salad.images.photo import PhotoTable
+    from salad.images.photo_table import PhotoTable
     from salad.index.build import Indexed
     from salad.index.index import Index
     from salad.models.describer import DescriberLike
@@ -82,9 +82,7 @@ class IndexCommand:
         # Where not one photo of all could be read, something is wrong with what was given, not with a photo.
         return terminal.FOUND if done.added or done.skipped else terminal.BAD_INPUT
 
-    def _describe(
-        self, paths: Sequence[Path], index: Index, model: DescriberLike, table: PhotoTable | None
-    ) -> Indexed:
+    def _describe(self, paths: Sequence[Path], index: Index, model: DescriberLike, table: PhotoTable | None) -> Indexed:
         from salad.index.build import index_photos
 
         far = 0  # how far it came is told where it is stopped, since that much is in the index
@@ -95,13 +93,9 @@ class IndexCommand:
                 far = done
                 bar(done, total)
 
-            report(
-                0, len(paths)
-            )  # the first batch takes a while: let people see that there is something to wait for
+            report(0, len(paths))  # the first batch takes a while: let people see that there is something to wait for
             try:
-                return index_photos(
-                    paths, index, model, table=table, batch_size=self.batch_size, progress=report
-                )
+                return index_photos(paths, index, model, table=table, batch_size=self.batch_size, progress=report)
             except KeyboardInterrupt:
                 terminal.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
                 raise
@@ -121,9 +115,7 @@ class IndexCommand:
         from salad.index.transfer import take
 
         if self.photos or self.table or self.prune:
-            raise SaladError(
-                "--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune"
-            )
+            raise SaladError("--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune")
         made = not is_index(self.to)  # then an error leaves nothing behind: see below
         if made:
             source = source_of(folder, name=self.model)

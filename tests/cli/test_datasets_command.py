@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from salad.cli.datasets import CheckFolder, DatasetsCommand, ListProtocols
+from salad.cli.datasets_command import CheckFolder, DatasetsCommand, ListProtocols
 from salad.datasets.protocols import PROTOCOLS
 from salad.errors import BenchmarkError
 

@@ -54,9 +54,7 @@ def test_what_vanished_is_dropped_with_prune(cli: Any, asked: Any, home: Path, t
     assert "is gone" not in cli("index", home, "--to", city, "--prune").err
 
 
-def test_only_the_folders_given_are_pruned(
-    cli: Any, asked: Any, photos: Any, home: Path, tmp_path: Path
-) -> None:
+def test_only_the_folders_given_are_pruned(cli: Any, asked: Any, photos: Any, home: Path, tmp_path: Path) -> None:
     city, other = tmp_path / "city", tmp_path / "home too"
     shutil.copytree(photos.queries, other)
     cli("index", home, other, "--to", city)
@@ -115,9 +113,7 @@ def test_an_interrupt_says_how_far_it_got(
 # --- --from --------------------------------------------------------------------------------
 
 
-def test_an_export_comes_back_whole(
-    cli: Any, asked: list[str], home: Path, photos: Any, tmp_path: Path
-) -> None:
+def test_an_export_comes_back_whole(cli: Any, asked: list[str], home: Path, photos: Any, tmp_path: Path) -> None:
     cli("index", home, "--to", tmp_path / "city")
     with Index.open(tmp_path / "city") as index:
         export(index, tmp_path / "out")

@@ -89,9 +89,7 @@ def test_a_protocol_by_its_name(cli: Cli, asked: Any, sides: list[Any], photos: 
     assert "msls-val-740" in told
 
 
-def test_descriptors_and_rankings_of_another_method(
-    cli: Cli, sides: list[Any], tmp_path: Path, asked: Any
-) -> None:
+def test_descriptors_and_rankings_of_another_method(cli: Cli, sides: list[Any], tmp_path: Path, asked: Any) -> None:
     for name in ("refs", "mine"):
         np.save(tmp_path / f"{name}.npy", np.eye(6, dtype=np.float32))
     described = ("--descriptors", tmp_path / "refs.npy", tmp_path / "mine.npy")
@@ -190,9 +188,7 @@ def test_photos_of_a_saved_result_that_lie_elsewhere_now(
         ([], "no such file"),
     ],
 )
-def test_a_saved_result_is_not_judged_again(
-    cli: Cli, asked: Any, tmp_path: Path, more: list[Any], named: str
-) -> None:
+def test_a_saved_result_is_not_judged_again(cli: Cli, asked: Any, tmp_path: Path, more: list[Any], named: str) -> None:
     assert named in sentence(cli("evaluate", "--result", tmp_path / "r.json", *more)).lower()
     assert asked == []
 
@@ -243,9 +239,7 @@ def test_many_leaks_are_not_all_told(cli: Cli, asked: Any, sides: list[Any], tmp
 def table(photos: Any, tmp_path: Path) -> Path:
     """Where the queries were taken, all of them looking north."""
     known = [read_photo(path).where for path in photos.reference]
-    rows = [
-        f"{path},{where.lat},{where.lon},0" for path, where in zip(photos.query, known, strict=True) if where
-    ]
+    rows = [f"{path},{where.lat},{where.lon},0" for path, where in zip(photos.query, known, strict=True) if where]
     path = tmp_path / "places.csv"
     path.write_text("path,lat,lon,heading\n" + "\n".join(rows) + "\n", encoding="utf-8")
     return path

@@ -136,9 +136,7 @@ def test_offline_is_told_the_same_way(cli: Any, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.shared
-def test_a_published_file_becomes_a_folder_that_gives_the_same(
-    cli: Any, shared: Path, tmp_path: Path
-) -> None:
+def test_a_published_file_becomes_a_folder_that_gives_the_same(cli: Any, shared: Path, tmp_path: Path) -> None:
     file, folder = shared / "golden" / "salad_flat.ckpt", tmp_path / "models" / "converted [1]"
     ran = cli("weights", "convert", file, "--to", folder, "--heads", 2)
     assert (ran.code, ran.out) == (0, f"{folder}\n")
@@ -199,16 +197,12 @@ def test_a_vocabulary_goes_where_nothing_is(cli: Any, street: tuple[Path, Path],
     assert (ran.code, ran.out) == (2, "")
     assert "tiny exists already; choose another folder" in ran.err
     assert (model / "config.json").read_bytes() == before
-    ran = cli(
-        "weights", "vocabulary", "--index", city, "--model", model, "--to", tmp_path / "a", "--clusters", 0
-    )
+    ran = cli("weights", "vocabulary", "--index", city, "--model", model, "--to", tmp_path / "a", "--clusters", 0)
     assert ran.code == 2
     assert "--clusters 0 is too few" in ran.err
 
 
-def test_a_vocabulary_of_a_model_nobody_knows_asks_for_it(
-    cli: Any, street: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_vocabulary_of_a_model_nobody_knows_asks_for_it(cli: Any, street: tuple[Path, Path], tmp_path: Path) -> None:
     ran = cli("weights", "vocabulary", "--index", street[0], "--to", tmp_path / "a")
     assert ran.code == 2
     assert "was made with 'tiny', which is not in the zoo" in ran.err

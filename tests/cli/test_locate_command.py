@@ -97,9 +97,7 @@ def test_every_format_holds_every_photo(cli: Any, city: Path, photos: Any, form:
 # --- copies --------------------------------------------------------------------------------
 
 
-def test_copies_know_their_place_and_originals_stay(
-    cli: Any, city: Path, photos: Any, tmp_path: Path
-) -> None:
+def test_copies_know_their_place_and_originals_stay(cli: Any, city: Path, photos: Any, tmp_path: Path) -> None:
     before = {path: path.read_bytes() for path in photos.query}
     ran = cli("locate", photos.queries, "--index", city, "--write-exif", tmp_path / "new" / "placed")
     assert ran.code == 0

@@ -31,12 +31,8 @@ if TYPE_CHECKING:
 
 Text = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
 FilePath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
-TwoFiles = Annotated[
-    tuple[Path, Path] | None, arg(metavar="REFERENCES.npy QUERIES.npy", help_behavior_hint="")
-]
-TwoNames = Annotated[
-    tuple[Path, Path] | None, arg(metavar="REFERENCES.txt QUERIES.txt", help_behavior_hint="")
-]
+TwoFiles = Annotated[tuple[Path, Path] | None, arg(metavar="REFERENCES.npy QUERIES.npy", help_behavior_hint="")]
+TwoNames = Annotated[tuple[Path, Path] | None, arg(metavar="REFERENCES.txt QUERIES.txt", help_behavior_hint="")]
 
 _JUDGING = (  # options that decide how a set is judged, and so come too late for a result that is saved
     *("truth", "frames", "radius", "heading", "table", "protocol", "data", "layout", "any_size"),
@@ -170,9 +166,7 @@ class EvaluateCommand:
                 f"{missing} is missing: name both folders, or a published set with --protocol and --data"
             )
         if self.layout is not None:
-            raise BenchmarkError(
-                f"--layout {self.layout} is of a published set: name it with --protocol and --data"
-            )
+            raise BenchmarkError(f"--layout {self.layout} is of a published set: name it with --protocol and --data")
         return benchmark_of(
             self.references,
             self.queries,
@@ -214,9 +208,7 @@ class EvaluateCommand:
         for name in _JUDGING:
             if getattr(self, name) not in (None, False):  # what is not given is one of these, never 0 or ""
                 option = name.replace("_", "-")
-                raise BenchmarkError(
-                    f"{path} is judged already, so --{option} changes nothing: leave it away"
-                )
+                raise BenchmarkError(f"{path} is judged already, so --{option} changes nothing: leave it away")
         result = read_result(path)
         # A result holds photos' paths below two folders, which may have moved since, or lie on another machine.
         references, queries = result.folders
@@ -249,9 +241,7 @@ class EvaluateCommand:
 
         model = load(self.model, device=self.device, heads=self.heads)
         with terminal.progress("describing") as bar:
-            result = evaluate(
-                benchmark, model, cache=self.cache, seed=self.seed, plain=self.plain, progress=bar
-            )
+            result = evaluate(benchmark, model, cache=self.cache, seed=self.seed, plain=self.plain, progress=bar)
         return result, model
 
     def _write_lists(self, benchmark: Benchmark, references: Path, queries: Path) -> int:

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from salad.cli.places import _ADVICE, PlacesCommand
+from salad.cli.places_command import _ADVICE, PlacesCommand
 from salad.datasets.cluster import Reason
 from salad.datasets.places import find_places
 from salad.errors import SaladError
@@ -46,9 +46,7 @@ def ran(command: PlacesCommand, capsys: pytest.CaptureFixture[str]) -> tuple[int
     return code, *capsys.readouterr()
 
 
-def test_places_are_written_and_told(
-    streets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_places_are_written_and_told(streets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     to = tmp_path / "places.csv"
     code, out, err = ran(PlacesCommand((str(streets),), to), capsys)
     assert (code, out) == (0, f"{to}\n")
@@ -84,9 +82,7 @@ def test_without_a_check_a_broken_photo_is_trusted(
 def test_json_is_for_programs(streets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import json
 
-    code, out, _ = ran(
-        PlacesCommand((str(streets),), tmp_path / "places.csv", apart=250, format="json"), capsys
-    )
+    code, out, _ = ran(PlacesCommand((str(streets),), tmp_path / "places.csv", apart=250, format="json"), capsys)
     told: Any = json.loads(out)
     assert code == 0
     assert told["table"] == str(tmp_path / "places.csv")
@@ -98,9 +94,7 @@ def test_positions_may_come_from_a_table(tmp_path: Path, capsys: pytest.CaptureF
     picture = np.zeros((8, 8, 3), dtype=np.uint8)
     for number in range(4):
         save_jpeg(picture, tmp_path / f"{number}.jpg")
-    (tmp_path / "where.csv").write_text(
-        "path,lat,lon\n" + "".join(f"{n}.jpg,48.10004,11.50006\n" for n in range(4))
-    )
+    (tmp_path / "where.csv").write_text("path,lat,lon\n" + "".join(f"{n}.jpg,48.10004,11.50006\n" for n in range(4)))
     photos = tuple(str(tmp_path / f"{number}.jpg") for number in range(4))
     code, _, _ = ran(PlacesCommand(photos, tmp_path / "places.csv", table=tmp_path / "where.csv"), capsys)
     assert code == 0
@@ -146,8 +140,6 @@ def test_photos_whose_places_are_known_already_are_for_training_as_they_are(
 
 
 @pytest.mark.parametrize("to", ["gone/places.csv", "."])
-def test_a_table_that_cannot_be_written_is_told_before_any_work(
-    streets: Path, tmp_path: Path, to: str
-) -> None:
+def test_a_table_that_cannot_be_written_is_told_before_any_work(streets: Path, tmp_path: Path, to: str) -> None:
     with pytest.raises(SaladError, match="cannot be written: name a file in a folder that is there"):
         PlacesCommand((str(streets),), tmp_path / to).run()

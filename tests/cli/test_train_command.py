@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from salad.cli.train import TrainCommand
+from salad.cli.train_command import TrainCommand
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing
 from salad.training.recipe import PRESETS, Preset, Recipe
@@ -104,9 +104,7 @@ def test_a_benchmark_of_ones_own_is_the_judge(cli: Cli, tmp_path: Path, data: Pa
     truth = tmp_path / "truth.csv"
     truth.write_text("query,positives\n0.png,0.png;1.png\n")
     sides = ("--references", data / "a", "--queries", data / "b", "--truth", truth)
-    ran = cli(
-        "train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", *sides, "--accelerator", "cpu"
-    )
+    ran = cli("train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", *sides, "--accelerator", "cpu")
     assert ran.code == 0, ran.err
     told = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
     assert [line["step"] for line in told] == [1, 4]

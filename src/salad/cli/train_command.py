@@ -21,15 +21,9 @@ if TYPE_CHECKING:
 
 
 Rate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
-Augment = Annotated[
-    Literal["lite", "paper", "robust", "none"] | None, arg(help_behavior_hint="", metavar="NAME")
-]
-Sampling = Annotated[
-    Literal["mixed", "one-city", "cliques"] | None, arg(help_behavior_hint="", metavar="NAME")
-]
-Precision = Annotated[
-    Literal["bf16-mixed", "16-mixed", "32-true"] | None, arg(help_behavior_hint="", metavar="NAME")
-]
+Augment = Annotated[Literal["lite", "paper", "robust", "none"] | None, arg(help_behavior_hint="", metavar="NAME")]
+Sampling = Annotated[Literal["mixed", "one-city", "cliques"] | None, arg(help_behavior_hint="", metavar="NAME")]
+Precision = Annotated[Literal["bf16-mixed", "16-mixed", "32-true"] | None, arg(help_behavior_hint="", metavar="NAME")]
 
 
 @dataclass(frozen=True)
@@ -200,9 +194,7 @@ class TrainCommand:
         settings = [field.name for field in fields(Recipe) if field.name in options]
         given = {name: getattr(self, name) for name in settings if getattr(self, name) is not None}
         if self.steps is not None and given.keys() & {"head_steps", "tune_steps", "epochs"}:
-            raise SaladError(
-                "--steps counts both stages: give it, or --head-steps, --tune-steps and --epochs"
-            )
+            raise SaladError("--steps counts both stages: give it, or --head-steps, --tune-steps and --epochs")
         if "tune_steps" in given and "epochs" not in given:
             given["epochs"] = None  # the preset's epochs would stand in place of the steps asked for
         return replace(chosen, recipe=replace(recipe, **given))
