@@ -207,7 +207,7 @@ class TestOwn:
         def opened(*_: object) -> None:
             raise AssertionError("a photo was opened")
 
-        monkeypatch.setattr("salad.images.photo.read_photo", opened)
+        monkeypatch.setattr("salad.datasets.benchmark.read_photo", opened)
         made = from_radius(refs, plain, 25, table=PhotoTable.read(tmp_path / "t.csv"))
         assert [rows.tolist() for rows in made.positives] == [[0]]
         with pytest.raises(AssertionError, match="opened"):

@@ -79,7 +79,7 @@ def test_every_process_reads_its_share_alone(
     whole = _batches(lite, places, plain)
     (images,) = whole.parts(0, whole.batch(0))
     opened: list[Path] = []
-    monkeypatch.setattr("salad.images.decode.decode", _noting(opened))
+    monkeypatch.setattr("salad.training.batches.decode", _noting(opened))
     shares = []
     for rank in range(4):
         opened.clear()

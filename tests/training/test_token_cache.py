@@ -132,7 +132,7 @@ def test_what_else_decides_tokens_has_a_folder_of_its_own(
         folder(same, precision="bf16-mixed"),
         folder(build(cache.model.config, seed=1)),
     }
-    monkeypatch.setattr("salad.images.decode.DECODER", 99)
+    monkeypatch.setattr("salad.training.token_cache.DECODER", 99)
     assert len(others | {cache.folder, folder(same)}) == 6
 
 

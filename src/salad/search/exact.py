@@ -131,12 +131,8 @@ class ExactSearcher:
         k = min(k, len(self))
         if not k or not len(asked):
             return Hits.none(len(asked), k)
-        found = [
-            hits for some in _pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, mask)
-        ]
-        return Hits(
-            np.concatenate([hits.rows for hits in found]), np.concatenate([hits.scores for hits in found])
-        )
+        found = [hits for some in _pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, mask)]
+        return Hits(np.concatenate([hits.rows for hits in found]), np.concatenate([hits.scores for hits in found]))
 
     def _search(self, queries: Queries, k: int, allowed: Mask | None) -> list[Hits]:
         """Let all rows pass by these queries; what was found for each batch of them."""
