@@ -50,7 +50,7 @@ from salad.training.recipe import PRESETS, preset
 SEED, K, NEWEST, STRANGERS = 0, 5, 4, 10  # newest: queries of a place; strangers: photos of a place elsewhere
 APART_M = 25.0  # a place's photos in the index are taken out with whatever stands this close to the query
 PRECISION = 0.95
-# What the models that ship learnt from. Sets that joined the folder later would give other strangers, and so another fit.
+# What the models that ship learnt from. Sets that joined the folder later would give other strangers: another fit.
 LEARNT_FROM = ("amos-15", "grief-10", "sfxl-240", "vcl-10")
 MIXTURE = {"with an answer": 0.8, "own place taken out": 0.1, "strangers": 0.1}
 """What is asked: four in five photos can be found, the others are of streets or of cities not in the index."""
