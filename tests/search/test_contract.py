@@ -124,6 +124,8 @@ def test_what_is_no_mask_of_its_rows_is_told(make: Make) -> None:
     searcher = make(unit(5, 60, 16))
     with pytest.raises(SearchError, match=r"60 rows are searched.*shape \[59\]"):
         searcher.search(unit(6, 1, 16), k=1, allowed=np.ones(59, dtype=np.bool_))
+    with pytest.raises(SearchError, match=r"60 rows are searched.*this is int64 of shape \[60\]"):
+        searcher.search(unit(6, 1, 16), k=1, allowed=np.arange(60))
     if not searcher.takes_filters:
         with pytest.raises(SearchError, match=r"60 rows are searched.*a filter"):
             searcher.search(unit(6, 1, 16), k=1, allowed=Filter(near=GeoPoint(0, 0), within_m=5))
@@ -154,6 +156,11 @@ def test_a_query_that_is_not_finite_is_named(make: Make, bad: float) -> None:
     queries[2, 5] = bad
     with pytest.raises(SearchError, match=r"query 2 \(from 0\) holds NaN or infinity"):
         make(unit(0, 9, 16)).search(queries, k=1)
+
+
+def test_a_query_beyond_float32_is_named(make: Make) -> None:
+    with pytest.raises(SearchError, match=r"query 0 \(from 0\) holds NaN or infinity"):
+        make(unit(0, 9, 16)).search(np.full((1, 16), 1e300), k=1)
 
 
 @pytest.mark.parametrize("shape", [(1, 15), (1, 17), (16,), (1, 2, 16)])

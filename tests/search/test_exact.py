@@ -371,3 +371,19 @@ def test_threads_are_as_many_as_processors_unless_told(monkeypatch: pytest.Monke
     for told, count in (("7", 7), ("0", 2), ("4,2", 2)):
         monkeypatch.setattr(exact.os, "environ", {"OMP_NUM_THREADS": told})
         assert exact._processors() == count
+
+
+@pytest.mark.parametrize("first", [1e18, 1e-30])
+def test_blocks_may_lie_further_apart_than_float32_reaches(first: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a block of long rows reaches is infinite at the scale of a block of short ones."""
+    monkeypatch.setattr(exact, "_BLOCK", 50 * 8)
+    drawn = np.random.default_rng(0).standard_normal((100, 8))
+    lengths = np.repeat([first, 1e-12 / first], 50)
+    agree(ArrayRows(np.float32(drawn * lengths[:, None])), np.float32(drawn[:3]), k=7)
+
+
+def test_rows_beyond_float32_are_damaged() -> None:
+    rows = np.ones((5, 3))
+    rows[3] = 1e300
+    with pytest.raises(DamagedRowError, match="row 3"):
+        ExactSearcher(ArrayRows(rows)).search(np.ones((1, 3)), k=1)

@@ -295,7 +295,8 @@ class Index:
         ]
 
     def _queries(self, descriptors: Floats) -> Queries:
-        queries = np.atleast_2d(np.asarray(descriptors, dtype=np.float32))
+        with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and refused below
+            queries = np.atleast_2d(np.asarray(descriptors, dtype=np.float32))
         if queries.ndim != 2 or queries.shape[1] != self.dim:
             raise StoreError(
                 f"these descriptors have shape {list(np.shape(descriptors))}, but the index holds descriptors of "

@@ -245,7 +245,8 @@ def storable(descriptors: npt.NDArray[np.floating], count: int, dim: int) -> Hal
     rows = np.empty((count, dim), dtype=STORED)
     step = max(1, _BLOCK // dim)
     for low in range(0, count, step):
-        some = given[low : low + step].astype(np.float32)
+        with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and refused
+            some = given[low : low + step].astype(np.float32)
         if not (np.abs(lengths(some) - 1) <= UNIT_TOLERANCE).all():
             raise StoreError("descriptors must be finite and of length 1: normalise them, or check the model")
         # Rounding halves is most of the work here, and numpy is ten times as slow at it.

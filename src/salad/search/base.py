@@ -100,7 +100,8 @@ class ArrayRows:
     def __init__(self, descriptors: npt.NDArray[np.floating], *, longest: float | None = None) -> None:
         # float64 is more than descriptors say, and no kernel of ours takes it.
         kind = np.float16 if descriptors.dtype.type is np.float16 else np.float32
-        self._rows: Block = np.ascontiguousarray(descriptors, dtype=kind)
+        with np.errstate(over="ignore"):  # what is beyond float32 is a damaged row, and told as such
+            self._rows: Block = np.ascontiguousarray(descriptors, dtype=kind)
         self.longest = longest
 
     @property
@@ -188,7 +189,8 @@ def as_queries(queries: npt.NDArray[np.floating], dim: int) -> Queries:
     Raises:
         SearchError: If they are not of dimension `dim`, or not all finite.
     """
-    asked = np.asarray(queries, dtype=np.float32)  # before it is looked at: a float64 may be infinite there
+    with np.errstate(over="ignore"):  # before it is looked at: a float64 may be infinite there
+        asked = np.asarray(queries, dtype=np.float32)
     if asked.ndim != 2 or asked.shape[1] != dim:
         raise SearchError(
             f"these queries have shape {list(asked.shape)}, but rows of {dim} numbers are searched: describe both with "
@@ -207,11 +209,12 @@ def as_mask(allowed: Mask | Filter | None, rows: int) -> Mask | None:
     """What a searcher that takes no filters was given.
 
     Raises:
-        SearchError: If it is a filter, or is not `[rows]`.
+        SearchError: If it is a filter, or is not `[rows]` of true and false.
     """
-    if allowed is None or (isinstance(allowed, np.ndarray) and allowed.shape == (rows,)):
+    # Numbers would be taken for a mask here and for rows there.
+    if allowed is None or (isinstance(allowed, np.ndarray) and allowed.shape == (rows,) and allowed.dtype == np.bool_):
         return allowed
-    given = f"one of shape {list(allowed.shape)}" if isinstance(allowed, np.ndarray) else "a filter"
+    given = f"{allowed.dtype} of shape {list(allowed.shape)}" if isinstance(allowed, np.ndarray) else "a filter"
     raise SearchError(f"{rows} rows are searched, and a mask says which of them may be found: this is {given}")
 
 

@@ -312,7 +312,8 @@ class _Batch:
 
 def _below(limits: Scores) -> Single:
     """Limits as float32, rounded down."""
-    return np.nextafter(limits.astype(np.float32), np.float32(-np.inf))
+    with np.errstate(over="ignore"):  # beyond float32 lies what no row of this block reaches
+        return np.nextafter(limits.astype(np.float32), np.float32(-np.inf))
 
 
 class _Pairs(NamedTuple):
