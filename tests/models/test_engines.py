@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,7 +23,7 @@ from salad.models.model_folder import write_folder
 from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.baseline_config import GemConfig, NetVladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
-from salad.network.network import Network, build
+from salad.network.network import Network, build, evaluating
 
 SALAD = SaladConfig(16, clusters=4, cluster_dim=3, scene_dim=5, hidden=8)
 VIT = ModelConfig("vit", ViTConfig(16, 1, 2, grid=3), SALAD, Preprocessing(42, 56))
@@ -136,6 +138,18 @@ class TestContract:
         engine.run(given, engine.outputs)
         np.testing.assert_array_equal(given, before)
 
+    def test_photos_may_be_mirrored_and_read_only(self, engine: Engine) -> None:
+        given = photos(engine, 2)
+        given.flags.writeable = False
+        due = engine.run(given[..., ::-1].copy())["descriptor"]
+        np.testing.assert_array_equal(engine.run(given[..., ::-1])["descriptor"], due)
+        assert engine.run(given)["descriptor"].shape == due.shape
+
+    def test_it_can_be_copied_and_pickled(self, engine: Engine) -> None:
+        given = photos(engine, 2)
+        for other in (copy.deepcopy(engine), pickle.loads(pickle.dumps(engine))):
+            np.testing.assert_array_equal(other.run(given)["descriptor"], engine.run(given)["descriptor"])
+
 
 class TestTorchEngine:
     """What torch's engine keeps besides."""
@@ -163,6 +177,37 @@ class TestTorchEngine:
         network.train()
         np.testing.assert_array_equal(engine.run(photos(engine, 2))["descriptor"], due)
         assert network.training
+
+    def test_each_part_stays_in_its_mode(self) -> None:
+        network = build(VIT).train()
+        network.backbone.eval()  # frozen, while the aggregator is trained
+        modes = [part.training for part in network.modules()]
+        engine = TorchEngine.of(network)
+        engine.run(photos(engine, 1))
+        assert [part.training for part in network.modules()] == modes
+
+    def test_who_leaves_first_does_not_change_the_mode_for_others(self) -> None:
+        """As two threads may: the first to come leaves while the second is still at work."""
+        network = build(VIT).train()
+        first, second = evaluating(network), evaluating(network)
+        first.__enter__()
+        with second:
+            first.__exit__()
+            assert not any(part.training for part in network.modules())
+        assert all(part.training for part in network.modules())
+
+    def test_a_copy_is_trained_by_itself(self) -> None:
+        model = Describer.of(build(VIT))
+        other, before = copy.deepcopy(model), model.fingerprint
+        with torch.no_grad():
+            other.network.aggregator.feature[0].weight.neg_()
+        assert other.fingerprint != before == model.fingerprint
+
+    def test_what_is_loaded_in_inference_mode_can_be_trained(self, tmp_path: Path) -> None:
+        write_folder(build(VIT), tmp_path / "m")
+        with torch.inference_mode():
+            model = salad.load(tmp_path / "m")
+        model(torch.randn(2, 3, 42, 56)).sum().backward()
 
     def test_what_is_trained_shows_at_once(self) -> None:
         network = build(VIT)

@@ -116,6 +116,13 @@ class TorchEngine:
         engine._network = network  # and `read` is the network's own, so that training shows in `weights`
         return engine
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the lock, which can be neither copied nor pickled."""
+        return {name: value for name, value in vars(self).items() if name != "_loading"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _loading=threading.Lock())
+
     @property
     def network(self) -> Network:
         """The torch module, loaded the first time.
@@ -164,12 +171,14 @@ class TorchEngine:
             MissingExtraError: If torch is not installed.
         """
         check_request(self, photos, outputs)
+        # torch takes no array that is mirrored, as BGR turned into RGB is, and warns of one that is read-only.
+        photos = np.require(photos, requirements=("C", "W"))
         network = self.network
         import torch
 
         from salad.network.network import evaluating
 
-        # Inference mode is the thread's own, but the module's mode is everybody's: train in one thread alone.
+        # Inference mode is the thread's own, but the module's mode is everybody's: nobody may train it meanwhile.
         with torch.inference_mode(), evaluating(network):
             made = network.outputs(photos, outputs)
         # Whatever precision it ran in, callers get float32 on the processor.

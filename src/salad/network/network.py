@@ -9,9 +9,10 @@ an engine runs it and everything is an array.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -115,16 +116,34 @@ class Network(nn.Module):
 
 
 class evaluating:  # noqa: N801  # reads as a verb
-    """Evaluation mode inside, whatever mode the module was in before."""
+    """Evaluation mode inside; behind it, every part of the module is in the mode it was in before.
+
+    Several threads may be inside at once: the first to come changes the mode, and the last to leave restores it.
+    """
+
+    _lock: ClassVar = threading.Lock()
+    _inside: ClassVar[dict[nn.Module, tuple[int, list[nn.Module]]]] = {}  # how many, and which parts were training
 
     def __init__(self, module: nn.Module) -> None:
-        self.module, self.before = module, module.training
+        self.module = module
 
     def __enter__(self) -> None:
-        self.module.eval()
+        with self._lock:
+            threads, training = self._inside.get(self.module, (0, []))
+            if not threads:
+                # Part by part: a frozen backbone may evaluate within a module that trains.
+                training = [part for part in self.module.modules() if part.training]
+                self.module.eval()
+            self._inside[self.module] = threads + 1, training
 
     def __exit__(self, *_: object) -> None:
-        self.module.train(self.before)
+        with self._lock:
+            threads, training = self._inside.pop(self.module)
+            if threads > 1:
+                self._inside[self.module] = threads - 1, training
+                return
+            for part in training:
+                part.training = True
 
 
 def build(config: ModelConfig, *, seed: int = 0) -> Network:
@@ -133,7 +152,9 @@ def build(config: ModelConfig, *, seed: int = 0) -> Network:
     Raises:
         ModelError: If the configuration's parts do not fit together.
     """
-    with torch.random.fork_rng(devices=[]):  # whoever draws numbers outside goes on as if nothing had been built
+    # Whoever draws numbers outside goes on as if nothing had been built; and weights made in a caller's inference mode
+    # could never be trained.
+    with torch.random.fork_rng(devices=[]), torch.inference_mode(False):
         torch.manual_seed(seed)
         return Network(config).eval()
 
