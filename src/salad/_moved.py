@@ -87,8 +87,9 @@ def _uncover_names() -> None:
     """
     for name in MOVED_NAMES.keys() & sys.modules.keys():
         package, _, short = name.rpartition(".")
-        if vars(sys.modules[package]).get(short) is sys.modules[name]:
-            delattr(sys.modules[package], short)
+        held = vars(sys.modules[package])
+        if held.get(short) is sys.modules[name]:
+            held.pop(short, None)  # another thread may have done it meanwhile
 
 
 class _Finder:

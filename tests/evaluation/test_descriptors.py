@@ -86,6 +86,7 @@ def test_rows_come_in_the_order_of_the_photos_whatever_the_block(drive: Benchmar
         blocks = [rows.block(start, min(start + size, 7), spare).copy() for start in range(0, 7, size)]
         assert np.concatenate(blocks) == pytest.approx(due, abs=1e-6)
     assert rows.take(np.array([6, 0, 0])) == pytest.approx(due[[6, 0, 0]], abs=1e-6)
+    assert rows.take(np.arange(0)).shape == rows.block(7, 7, spare).shape == (0, 3)
     assert (len(rows), rows.dim, rows.dtype, rows.longest) == (7, 3, np.float32, None)
 
 

@@ -258,6 +258,8 @@ class _CachedRows:
 
     def take(self, rows: Numbers) -> Block:
         """These rows, each run of neighbours in a file read at once."""
+        if not len(rows):
+            return np.empty((0, self.dim), dtype=np.float32)
         where = self.where[rows]
         block = np.empty((len(where), self.dim), dtype=np.float32)
         # Photos mostly lie as they were described, in the order of the set: so a block is a few long runs.
