@@ -18,6 +18,8 @@ Every message says what is wrong, with which file or value, and what to do. The 
 stands and exits with 2; nothing else in the package catches a `SaladError` it cannot mend.
 """
 
+from __future__ import annotations
+
 
 class SaladError(Exception):
     """Base of every error this package raises on purpose."""
@@ -73,3 +75,7 @@ class MissingExtraError(SaladError):
     def __init__(self, what: str, extra: str) -> None:
         """Say that `what` needs the extra named `extra`."""
         super().__init__(f"{what} needs the '{extra}' extra: pip install 'salad-vpr[{extra}]'")
+        self._made_of = what, extra
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        return type(self), self._made_of  # else no other process could make it again of its sentence

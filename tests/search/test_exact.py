@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from salad.errors import StoreError
+from salad.errors import MissingExtraError, StoreError
 from salad.search import exact
 from salad.search.base import LONGEST_UNIT, ArrayRows, DamagedRowError, Hits, Rows
 from salad.search.brute_force import BruteForceSearcher
@@ -387,3 +388,9 @@ def test_rows_beyond_float32_are_damaged() -> None:
     rows[3] = 1e300
     with pytest.raises(DamagedRowError, match="row 3"):
         ExactSearcher(ArrayRows(rows)).search(np.ones((1, 3)), k=1)
+
+
+@pytest.mark.parametrize("error", [DamagedRowError(3), MissingExtraError("reading HEIC", "heic")])
+def test_errors_come_whole_from_another_process(error: Exception) -> None:
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), getattr(again, "row", 0)) == (type(error), str(error), getattr(error, "row", 0))

@@ -43,6 +43,9 @@ class DamagedRowError(SearchError):
         )
         self.row = row
 
+    def __reduce__(self) -> tuple[type[DamagedRowError], tuple[int]]:
+        return type(self), (self.row,)  # else another process would be given its sentence for a row
+
 
 class Rows(Protocol):
     """Descriptors, one a row `[N, dim]`, read where and when they are asked for, by any number of threads at once."""
