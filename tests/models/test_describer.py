@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,19 @@ def test_paths_pictures_and_arrays_are_the_same_photo(model: Describer, tmp_path
     Image.fromarray(pixels).save(tmp_path / "a.png")
     rows = model.describe([tmp_path / "a.png", str(tmp_path / "a.png"), Image.fromarray(pixels), pixels])
     np.testing.assert_allclose(rows, np.repeat(rows[:1], 4, axis=0), atol=1e-6)
+
+
+def test_whatever_names_a_file_is_a_path(tmp_path: Path) -> None:
+    Image.fromarray(_pixels(3)).save(tmp_path / "a.png")
+    with os.scandir(tmp_path) as entries:
+        from_entry, from_path = made(VIT).describe([*entries, tmp_path / "a.png"])
+    np.testing.assert_array_equal(from_entry, from_path)
+
+
+@pytest.mark.parametrize("thing", [3, b"a.png", torch.zeros(3, 9, 9)])
+def test_what_is_neither_path_nor_picture_nor_array_is_no_photo(thing: Any) -> None:
+    with pytest.raises(TypeError, match=type(thing).__name__):
+        made(VIT).describe([thing])
 
 
 @pytest.mark.parametrize("mode", ["RGBA", "LA", "L", "P"])

@@ -204,9 +204,6 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> UInt8[np.ndarray, "height w
     Raises:
         PhotoError: If a path cannot be read, or an array is no photo.
     """
-    # Files are decoded and squeezed in one go: a large JPEG is reduced while it is decoded, everywhere alike.
-    if isinstance(photo, str | Path):
-        return decode(Path(photo), to.height, to.width, to.resample)
     if isinstance(photo, np.ndarray):
         if photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
             raise PhotoError(f"an array of {photo.dtype} {photo.shape} is no photo: give uint8 [height, width, 3]")
@@ -214,4 +211,8 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> UInt8[np.ndarray, "height w
         if photo.shape == (to.height, to.width, 3):
             return photo
         photo = Image.fromarray(photo)
+    # Files are decoded and squeezed in one go: a large JPEG is reduced while it is decoded, everywhere alike. Whatever
+    # `Path` takes names a file, entries of `os.scandir` too; it refuses the rest by a TypeError of its own.
+    if not isinstance(photo, Image.Image):
+        return decode(Path(photo), to.height, to.width, to.resample)
     return squeeze(photo, to.height, to.width, to.resample)
