@@ -47,7 +47,7 @@ print(json.dumps([imported(module, name) for module, names in former.items() for
 
 
 def test_each_gives_the_object_of_today_and_one_warning() -> None:
-    """In a process of its own, which has not loaded `salad.evaluation.evaluate` before."""
+    """In a process of its own, in which nothing was imported before."""
     ran = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL],
         input=json.dumps(FORMER),
@@ -72,6 +72,15 @@ def test_a_module_by_its_name_and_a_second_look() -> None:
     with pytest.warns(DeprecationWarning, match=r"salad\.images\.photo\.read_photo"):
         assert salad.photos.read_photo is read_photo
     assert salad.photos.read_photo is read_photo  # a warning would be an error here
+
+
+def test_the_file_of_evaluate_and_the_function_of_before_do_not_hide_each_other() -> None:
+    import salad
+    from salad.evaluation import evaluate_benchmark
+
+    with pytest.warns(DeprecationWarning, match=r"salad\.evaluation\.evaluate_benchmark\.evaluate"):
+        exec("from salad.evaluation import evaluate", space := {})
+    assert space["evaluate"] is evaluate_benchmark.evaluate is salad.evaluate
 
 
 @pytest.mark.parametrize("module", ["salad.photos", "salad.index", "salad.model", "salad.model.fake"])

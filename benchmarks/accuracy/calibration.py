@@ -30,15 +30,7 @@ from salad.datasets.training_place import TrainingPlace
 from salad.geo import GeoPoint, metres
 from salad.images.photo import Photo, read_photo
 from salad.index.index import Match
-from salad.localize.calibration import (
-    BINS,
-    Case,
-    Predictions,
-    calibrate,
-    calibration_error,
-    judge,
-    reliability,
-)
+from salad.localize.calibration import BINS, Case, Predictions, calibrate, calibration_error, judge, reliability
 from salad.models.describer import Describer
 from salad.models.model_folder import write_calibration
 from salad.network.config import Calibration

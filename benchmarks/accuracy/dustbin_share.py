@@ -17,7 +17,7 @@ from benchmarks.accuracy.held_out import told
 from benchmarks.accuracy.recall import SETS
 from benchmarks.options import DATA, benchmark_parser
 from salad.datasets.places import find_places
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.models.describer import Describer
 from salad.models.model_folder import load
 from salad.network.aggregator_config import SaladConfig

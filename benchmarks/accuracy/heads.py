@@ -25,16 +25,7 @@ from salad.models.model_folder import load
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import LiteConfig
 from salad.training.batches import ImageCache
-from salad.training.recipe import (
-    LITE_HEAD,
-    LITE_TRUNK,
-    PRESETS,
-    SMALL_HEAD,
-    SMALL_PHOTO,
-    Augment,
-    Preset,
-    Sampling,
-)
+from salad.training.recipe import LITE_HEAD, LITE_TRUNK, PRESETS, SMALL_HEAD, SMALL_PHOTO, Augment, Preset, Sampling
 from salad.training.trainer import train
 from salad.training.validation import precision_held_out
 

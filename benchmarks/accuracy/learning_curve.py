@@ -26,7 +26,7 @@ import torch
 from benchmarks.machine import machine
 from benchmarks.options import EVAL, RUNS, TRAIN, benchmark_parser
 from salad.datasets.benchmark import Benchmark, from_radius
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.models.describer import Describer
 from salad.models.model_folder import load
 from salad.network.network import Network, build

@@ -23,7 +23,7 @@ from benchmarks.options import EVAL, SHIPPED, benchmark_parser
 from salad.cli.compare_command import benchmark_by_rule
 from salad.datasets.benchmark import Benchmark
 from salad.errors import SaladError
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.evaluation.result import Result
 from salad.models.model_folder import load
 

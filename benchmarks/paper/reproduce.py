@@ -36,7 +36,7 @@ from salad.cli.arguments import positive
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.protocols import read
 from salad.errors import BenchmarkError, SaladError
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.evaluation.result import read_result, write_result
 from salad.files import write_whole
 from salad.models.model_folder import load as load_model

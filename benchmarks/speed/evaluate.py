@@ -21,7 +21,7 @@ from benchmarks.machine import conditions, peak_memory
 from benchmarks.options import benchmark_parser
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.compact_lists import PhotoList, Ragged
-from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors
+from salad.evaluation.evaluate_benchmark import EvalSettings, evaluate_descriptors
 from salad.index.vectors import NpyWriter
 
 SEED = 0

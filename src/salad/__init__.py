@@ -17,7 +17,7 @@ from salad._version import __version__
 
 if TYPE_CHECKING:
     from salad.errors import SaladError
-    from salad.evaluation.evaluate import evaluate
+    from salad.evaluation.evaluate_benchmark import evaluate
     from salad.geo import GeoPoint
     from salad.images.photo import Photo
     from salad.index.build import index_photos
@@ -36,7 +36,7 @@ _HOMES = {
     "Photo": "salad.images.photo",
     "Place": "salad.localize.voting",
     "SaladError": "salad.errors",
-    "evaluate": "salad.evaluation.evaluate",
+    "evaluate": "salad.evaluation.evaluate_benchmark",
     "index_photos": "salad.index.build",
     "load": "salad.models.model_folder",
     "locate": "salad.localize.locate",

@@ -29,14 +29,14 @@ MOVED_MODULES = {  # with all they held
 MOVED_NAMES = {  # by themselves, whatever the table above says of their module
     "salad.evaluation.KS": "salad.evaluation.metrics.KS",
     "salad.evaluation.Result": "salad.evaluation.result.Result",
-    "salad.evaluation.Terms": "salad.evaluation.evaluate.EvalSettings",
+    "salad.evaluation.Terms": "salad.evaluation.evaluate_benchmark.EvalSettings",
     "salad.evaluation.Verdict": "salad.evaluation.result.QueryResult",
     "salad.evaluation.as_csv": "salad.evaluation.result.as_csv",
-    "salad.evaluation.evaluate": "salad.evaluation.evaluate.evaluate",
-    "salad.evaluation.evaluate_descriptors": "salad.evaluation.evaluate.evaluate_descriptors",
-    "salad.evaluation.evaluate_rankings": "salad.evaluation.evaluate.evaluate_rankings",
+    "salad.evaluation.evaluate": "salad.evaluation.evaluate_benchmark.evaluate",
+    "salad.evaluation.evaluate_descriptors": "salad.evaluation.evaluate_benchmark.evaluate_descriptors",
+    "salad.evaluation.evaluate_rankings": "salad.evaluation.evaluate_benchmark.evaluate_rankings",
     "salad.evaluation.read_result": "salad.evaluation.result.read_result",
-    "salad.evaluation.with_leaks": "salad.evaluation.evaluate.with_leaks",
+    "salad.evaluation.with_leaks": "salad.evaluation.evaluate_benchmark.with_leaks",
     "salad.evaluation.write_csv": "salad.evaluation.result.write_csv",
     "salad.evaluation.write_result": "salad.evaluation.result.write_result",
     "salad.index.Compacted": "salad.index.compact.Compacted",
@@ -79,19 +79,6 @@ def keep_former_names(package: str) -> None:
     vars(sys.modules[package])["__getattr__"] = _lookup_in(package)
 
 
-def _uncover_names() -> None:
-    """Take files that are called like a name of before, which `import` has just bound, out of that name's way.
-
-    `salad.evaluation.evaluate` was a function. It is found as one until a program loads the file of that name, and
-    from its first import of an old path on.
-    """
-    for name in MOVED_NAMES.keys() & sys.modules.keys():
-        package, _, short = name.rpartition(".")
-        held = vars(sys.modules[package])
-        if held.get(short) is sys.modules[name]:
-            held.pop(short, None)  # another thread may have done it meanwhile
-
-
 class _Finder:
     """Finds the modules that are gone; its own loader too, since there is nothing to load."""
 
@@ -122,7 +109,6 @@ def _lookup_in(module: str) -> Callable[[str], Any]:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         home, _, name_there = new.rpartition(".")
         value = getattr(import_module(home), name_there)
-        _uncover_names()
         import warnings  # only now: `import salad` stays instant
 
         told = f"{old} is {new} now; the old path goes with {DROPPED_IN}"

@@ -12,13 +12,7 @@ import pytest
 
 from made_results import a_result, put
 from salad.ablation.comparison import BenchmarkColumn, ModelLine
-from salad.ablation.comparison_tables import (
-    csv_table,
-    markdown_table,
-    model_lines,
-    order_sentences,
-    write_tables,
-)
+from salad.ablation.comparison_tables import csv_table, markdown_table, model_lines, order_sentences, write_tables
 from salad.ablation.grids import PaperFigure, grid_rows
 from salad.ablation.run_result import check_equal_terms
 from salad.errors import ModelError

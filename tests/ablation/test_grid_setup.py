@@ -9,14 +9,7 @@ from pathlib import Path
 import pytest
 from safetensors.torch import save_file
 
-from salad.ablation.grid_setup import (
-    GridSetup,
-    check_presets,
-    default_recipe,
-    grid_setup,
-    row_preset,
-    start_digest,
-)
+from salad.ablation.grid_setup import GridSetup, check_presets, default_recipe, grid_setup, row_preset, start_digest
 from salad.ablation.grids import ALL_BLOCKS, GRIDS, GridRow, grid_rows
 from salad.errors import ModelError, TooFewTokensError, WeightsError
 from salad.network.aggregator_config import SaladConfig

@@ -28,7 +28,7 @@ from salad.ablation.grids import GRIDS
 from salad.datasets.protocols import PROTOCOLS, read
 from salad.errors import BenchmarkError, FetchError
 from salad.evaluation import descriptors
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.evaluation.result import read_result, write_result
 from salad.models.fake import FakeDescriber
 from salad.models.hub import path_of

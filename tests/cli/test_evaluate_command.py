@@ -13,7 +13,7 @@ import pytest
 
 from salad.cli.evaluation_tables import compare_results, leak_sentences
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import CENTRED
+from salad.evaluation.evaluate_benchmark import CENTRED
 from salad.evaluation.leaks import Leak
 from salad.evaluation.result import read_result
 from salad.images.metadata import save_jpeg

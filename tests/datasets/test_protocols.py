@@ -17,16 +17,7 @@ from salad.datasets import protocols
 from salad.datasets.benchmark import from_radius
 from salad.datasets.compact_lists import PhotoList, Ragged
 from salad.datasets.protocols import LAYOUTS, PROTOCOLS, read
-from salad.datasets.readers.base import (
-    EveryNth,
-    Frames,
-    OwnTable,
-    Protocol,
-    Radius,
-    SameName,
-    Sides,
-    right_by,
-)
+from salad.datasets.readers.base import EveryNth, Frames, OwnTable, Protocol, Radius, SameName, Sides, right_by
 from salad.errors import BenchmarkError, PhotoError
 from salad.geo import GeoPoint
 from salad.images.photo_table import PhotoTable

@@ -17,7 +17,7 @@ from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
 from salad.evaluation import descriptors
 from salad.evaluation.descriptors import DescriptorCache, describe_sides
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.images.decode import DECODER
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber

@@ -9,7 +9,7 @@ import pytest
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, evaluate_descriptors, evaluate_rankings, rank
+from salad.evaluation.evaluate_benchmark import EvalSettings, evaluate_descriptors, evaluate_rankings, rank
 from salad.evaluation.external import write_rankings
 from salad.images.photo import Photo
 from salad.search.base import ArrayRows

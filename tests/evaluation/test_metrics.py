@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from salad.datasets.benchmark import Benchmark
 from salad.evaluation import metrics
-from salad.evaluation.evaluate import EvalSettings, judge
+from salad.evaluation.evaluate_benchmark import EvalSettings, judge
 from salad.evaluation.metrics import Answers
 from salad.evaluation.result import Ranked
 from salad.geo import GeoPoint, shifted

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, judge
+from salad.evaluation.evaluate_benchmark import EvalSettings, judge
 from salad.evaluation.leaks import Leak
 from salad.evaluation.result import Ranked, Result, as_csv, read_result, write_csv, write_result
 from salad.geo import GeoPoint

@@ -11,7 +11,7 @@ import pytest
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import EvalSettings, judge
+from salad.evaluation.evaluate_benchmark import EvalSettings, judge
 from salad.evaluation.result import Ranked, Result
 from salad.evaluation.significance import design_of, differences
 from salad.images.photo import Photo

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from salad.datasets.benchmark import Benchmark
-from salad.evaluation.evaluate import evaluate
+from salad.evaluation.evaluate_benchmark import evaluate
 from salad.evaluation.leaks import SIDE, thumbnail
 from salad.images import workers
 from salad.images.decode import decode

@@ -18,12 +18,7 @@ import pytest
 
 import salad
 from salad.errors import ModelError
-from salad.network.aggregator_config import (
-    AGGREGATOR_KINDS,
-    SaladConfig,
-    compared_aggregators,
-    register_aggregator,
-)
+from salad.network.aggregator_config import AGGREGATOR_KINDS, SaladConfig, compared_aggregators, register_aggregator
 from salad.network.baseline_config import GemConfig
 from salad.network.config import ModelConfig
 from salad.network.network import build

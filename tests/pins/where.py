@@ -23,14 +23,9 @@ import salad
 from salad.cli.main import main
 from salad.datasets.places import find_places
 from salad.errors import BenchmarkError
-from salad.evaluation.evaluate import rank as nearest
+from salad.evaluation.evaluate_benchmark import rank as nearest
 from salad.models.fake import FakeDescriber
-from salad.network.aggregator_config import (
-    AGGREGATOR_KINDS,
-    SaladConfig,
-    aggregator_kind,
-    compared_aggregators,
-)
+from salad.network.aggregator_config import AGGREGATOR_KINDS, SaladConfig, aggregator_kind, compared_aggregators
 from salad.network.config import BACKBONE_KINDS, Calibration, LiteConfig, ModelConfig, Preprocessing
 from salad.search.base import ArrayRows as Held
 from salad.search.filters import Filter

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from salad.evaluation.evaluate import rank
+from salad.evaluation.evaluate_benchmark import rank
 from salad.images.photo import Photo
 from salad.index.index import Index
 from salad.index.vectors import FileRows

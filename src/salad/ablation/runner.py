@@ -26,14 +26,7 @@ import torch
 
 from salad.ablation.grid_setup import GridSetup, check_presets, row_preset, start_digest
 from salad.ablation.grids import GridRow
-from salad.ablation.run_result import (
-    RUN_IDENTITY,
-    RunResult,
-    first_difference,
-    read_result,
-    run_folder,
-    write_result,
-)
+from salad.ablation.run_result import RUN_IDENTITY, RunResult, first_difference, read_result, run_folder, write_result
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError
 from salad.models.describer import Describer

@@ -180,7 +180,7 @@ def benchmark_by_rule(name: str, references: Path, queries: Path, rule: str) -> 
 def _grid_benchmark(benchmark: Benchmark) -> GridBenchmark:
     """How a model is measured on a set: as `salad evaluate` does it."""
     from salad.ablation.runner import GridBenchmark
-    from salad.evaluation.evaluate import evaluate
+    from salad.evaluation.evaluate_benchmark import evaluate
 
     def evaluated(model: Describer) -> dict[str, object]:
         with terminal.progress(f"describing {benchmark.name}") as bar:

@@ -109,7 +109,7 @@ class EvaluateCommand:
 
     def run(self) -> int:
         """Evaluate."""
-        from salad.evaluation.evaluate import with_leaks
+        from salad.evaluation.evaluate_benchmark import with_leaks
 
         self._refuse_early()
         if self.result is not None:
@@ -228,7 +228,7 @@ class EvaluateCommand:
 
     def _judge(self, benchmark: Benchmark) -> tuple[Result, DescriberLike | None]:
         """What a model, or what comes from outside, reaches on a set; and the model, where there is one."""
-        from salad.evaluation.evaluate import EvalSettings, evaluate, evaluate_descriptors, evaluate_rankings
+        from salad.evaluation.evaluate_benchmark import EvalSettings, evaluate, evaluate_descriptors, evaluate_rankings
 
         settings = EvalSettings(seed=self.seed)
         if self.descriptors is not None:

@@ -217,7 +217,7 @@ class TrainCommand:
         )
 
         def judge(model: Describer) -> dict[str, float]:
-            from salad.evaluation.evaluate import evaluate
+            from salad.evaluation.evaluate_benchmark import evaluate
 
             recall = evaluate(benchmark, model).recall
             return {**{f"R@{k}": percent for k, percent in recall.items()}, "mean": recall[1]}

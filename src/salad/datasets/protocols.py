@@ -11,26 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from salad.datasets.benchmark import Benchmark, Unanswerable, from_frames, from_radius, from_truth
-from salad.datasets.readers import (
-    at_names,
-    dbstruct,
-    gsv_cities,
-    msls,
-    npy_triple,
-    patch_netvlad,
-    two_folders,
-)
-from salad.datasets.readers.base import (
-    EveryNth,
-    Frames,
-    Layout,
-    OwnTable,
-    Protocol,
-    Radius,
-    SameName,
-    Sides,
-    right_by,
-)
+from salad.datasets.readers import at_names, dbstruct, gsv_cities, msls, npy_triple, patch_netvlad, two_folders
+from salad.datasets.readers.base import EveryNth, Frames, Layout, OwnTable, Protocol, Radius, SameName, Sides, right_by
 from salad.datasets.readers.two_folders import TRUTH_TABLE, own_folders
 from salad.errors import BenchmarkError
 from salad.images.photo_table import PhotoTable

@@ -16,13 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from salad.evaluation.bootstrap import (
-    Interval,
-    SamplingDesign,
-    nested,
-    percentile_interval,
-    proportion_interval,
-)
+from salad.evaluation.bootstrap import Interval, SamplingDesign, nested, percentile_interval, proportion_interval
 
 if TYPE_CHECKING:
     from salad.evaluation.result import QueryResult

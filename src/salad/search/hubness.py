@@ -19,17 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from salad.search.base import (
-    UNIT_TOLERANCE,
-    DamagedRowError,
-    Hits,
-    Mask,
-    Queries,
-    Rows,
-    Scores,
-    Searcher,
-    as_queries,
-)
+from salad.search.base import UNIT_TOLERANCE, DamagedRowError, Hits, Mask, Queries, Rows, Scores, Searcher, as_queries
 
 if TYPE_CHECKING:
     from salad.search.filters import Filter

@@ -18,7 +18,7 @@ from PIL import Image
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.compact_lists import PhotoList
 from salad.errors import BenchmarkError, ModelError
-from salad.evaluation.evaluate import CENTRED, EvalSettings, evaluate, judge, rank, with_leaks
+from salad.evaluation.evaluate_benchmark import CENTRED, EvalSettings, evaluate, judge, rank, with_leaks
 from salad.evaluation.result import Ranked
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber

@@ -17,16 +17,7 @@ from salad.evaluation.descriptors import describe_sides
 from salad.evaluation.external import read_descriptors, read_rankings
 from salad.evaluation.leaks import find_leaks
 from salad.evaluation.metrics import KS, distances, precision_recall, recall
-from salad.evaluation.result import (
-    QueryResult,
-    Ranked,
-    Reference,
-    Result,
-    along,
-    below,
-    digests_of,
-    folder_of,
-)
+from salad.evaluation.result import QueryResult, Ranked, Reference, Result, along, below, digests_of, folder_of
 from salad.geo import metres_between
 from salad.localize.locate import calibration_of
 from salad.search.base import DamagedRowError, Rows, SearcherFactory
@@ -35,6 +26,7 @@ from salad.search.hubness import Centred, mean_of_all
 
 if TYPE_CHECKING:
     from salad.models.describer import DescriberLike
+
 
 CENTRED = "scores leave out what all references have in common, as `salad locate` does with this model"
 NO_DESCRIPTOR = (
