@@ -17,9 +17,10 @@ from safetensors.numpy import load_file
 import salad
 from salad.errors import ModelError, WeightsError
 from salad.models.describer import Describer
-from salad.models.engines import Engine, TorchEngine
+from salad.models.engines import Engine
 from salad.models.fake import FakeEngine
 from salad.models.model_folder import write_folder
+from salad.models.torch_engine import TorchEngine
 from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.baseline_config import GemConfig, NetVladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig

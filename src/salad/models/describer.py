@@ -13,11 +13,13 @@ from PIL import Image
 
 from salad.errors import ModelError, PhotoError
 from salad.images.decode import decode, squeeze
-from salad.models.engines import Engine, TorchEngine
+from salad.models.engines import Engine
+from salad.models.torch_engine import TorchEngine
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 if TYPE_CHECKING:
-    from salad.models.engines import Network, Outputs, Weights
+    from salad.models.engines import Outputs, Weights
+    from salad.models.torch_engine import Network
     from salad.network.config import Output
 
 PhotoLike = str | Path | Image.Image | UInt8[np.ndarray, "height width 3"]

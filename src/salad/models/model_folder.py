@@ -21,7 +21,8 @@ from safetensors.numpy import load_file, save_file
 from salad.errors import MissingExtraError, ModelError, WeightsError
 from salad.models import hub
 from salad.models.describer import Describer
-from salad.models.engines import TorchEngine, Weights, published_network
+from salad.models.engines import Weights
+from salad.models.torch_engine import TorchEngine, published_network
 from salad.network.config import Calibration, ModelConfig
 
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
