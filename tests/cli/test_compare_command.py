@@ -13,14 +13,8 @@ from PIL import Image
 
 from made_results import a_result, put
 from salad.ablation.run_result import read_result, run_folder
-from salad.cli import main as commands
-from salad.cli.compare_command import CompareCommand, benchmark_by_rule
+from salad.cli.compare_command import benchmark_by_rule
 from salad.errors import BenchmarkError
-
-
-@pytest.fixture(autouse=True)
-def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(commands.COMMANDS, "compare", CompareCommand)
 
 
 def refused(ran: Any) -> str:

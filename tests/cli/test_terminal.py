@@ -13,6 +13,7 @@ import pytest
 from rich.table import Table
 
 from salad import __version__
+from salad.cli import main as commands
 from salad.cli import terminal
 from salad.cli.main import COMMANDS, main, run
 
@@ -47,13 +48,26 @@ def test_every_command_has_help(cli: Any, command: list[str]) -> None:
     assert "(default: )" not in ran.out
 
 
-def test_help_loads_no_torch() -> None:
+@pytest.mark.parametrize(
+    "line", [["--help"], ["locate", "--help"], ["weights", "--help"], [], ["nope"], ["locate", "a.jpg"]], ids=" ".join
+)
+def test_a_command_that_stands_for_another_is_never_seen(
+    cli: Any, line: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the command that is asked for is built in full, and yet nobody can tell."""
+    ran = cli(*line)
+    monkeypatch.setattr(commands, "commands_for", lambda _: {name: commands.command_class(name) for name in COMMANDS})
+    assert cli(*line) == ran
+
+
+def test_help_loads_nothing_heavy() -> None:
     script = (
         "import sys, salad.cli.main\n"
-        "for line in (['--help'], ['locate', '--help'], ['weights', '--help']):\n"
+        "for line in (['--help'], *([name, '--help'] for name in salad.cli.main.COMMANDS)):\n"
         "    try: salad.cli.main.run(line)\n"
         "    except SystemExit as left: assert left.code == 0\n"
-        "heavy = {'torch', 'PIL', 'lightning_fabric', 'kornia', 'scipy'} & set(sys.modules)\n"
+        "heavy = {'torch', 'numpy', 'PIL', 'rich', 'jaxtyping', 'lightning_fabric', 'kornia', 'scipy'}\n"
+        "heavy &= set(sys.modules)\n"
         "sys.exit(f'loaded: {heavy}' if heavy else 0)\n"
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, encoding="utf-8", check=False)

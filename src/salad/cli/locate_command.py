@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -18,10 +18,6 @@ from tyro.conf import arg
 from salad.cli import terminal
 from salad.cli.arguments import Degrees, Folder, ModelName, Photos, model_name_for, positive
 from salad.errors import PhotoError, SaladError
-from salad.files import write_whole
-from salad.geo import GeoPoint
-from salad.localize import maps
-from salad.tables import csv_line
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -66,6 +62,7 @@ class FilterOptions:
         """
         if all(value is None for value in (self.near, self.box, self.since, self.until, self.heading)):
             return None  # the distances alone filter nothing: a search without a filter is the faster one
+        from salad.geo import GeoPoint
         from salad.search.filters import Filter
 
         near = None if self.near is None else _degrees_in(self.near, 2, "--near", "LAT,LON")
@@ -150,7 +147,7 @@ class LocateCommand:
         if self.format == "table":
             terminal.write_table(as_table(answers))
         else:
-            terminal.write(WRITERS[self.format](answers))
+            terminal.write(as_text(answers, self.format))
         if self.write_exif:
             write_copies(self.write_exif, answers)
         if self.gpx:
@@ -189,6 +186,14 @@ class LocateCommand:
 # What is written to stdout, by --format; maps have a file of their own.
 
 
+def as_text(answers: Sequence[Answer], form: str) -> str:
+    """The answers as json, geojson, csv or kml."""
+    from salad.localize import maps
+
+    writers = {"json": as_json, "geojson": maps.as_geojson, "csv": as_csv, "kml": maps.as_kml}
+    return writers[form](answers)
+
+
 def as_json(answers: Sequence[Answer]) -> str:
     """One object a query."""
     return json.dumps([answer.as_dict() for answer in answers], ensure_ascii=False, indent=2)
@@ -196,6 +201,8 @@ def as_json(answers: Sequence[Answer]) -> str:
 
 def as_csv(answers: Sequence[Answer]) -> str:
     """One line a query; an unknown place leaves its fields empty."""
+    from salad.tables import csv_line
+
     columns = ("query", "lat", "lon", "radius_m", "confidence", "support", "best_match", "best_score")
     lines = [csv_line(columns)]
     for answer in answers:
@@ -238,14 +245,6 @@ def _cell(name: str) -> Text:
 
     shown = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
     return Text(shown, no_wrap=True, overflow="ellipsis")
-
-
-WRITERS: dict[str, Callable[[Sequence[Answer]], str]] = {
-    "json": as_json,
-    "geojson": maps.as_geojson,
-    "csv": as_csv,
-    "kml": maps.as_kml,
-}
 
 
 # What is written beside it: copies of the photos with their position, and a track.
@@ -305,7 +304,9 @@ def write_track(track: Path, answers: Sequence[Answer]) -> None:
     Raises:
         OSError: If it cannot be written.
     """
+    from salad.files import write_whole
     from salad.images.photo import read_photo
+    from salad.localize import maps
 
     times = [read_photo(answer.query).time for answer in answers]
     undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
