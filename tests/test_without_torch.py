@@ -64,14 +64,16 @@ assert not {"torch", "safetensors.torch"} & sys.modules.keys()
         assert said in ran.stdout
 
 
-def test_a_model_tells_all_but_descriptors(tmp_path: Path) -> None:
+def test_a_model_describes_and_only_its_module_is_refused() -> None:
     code = """
 import numpy as np
 import salad
 
 model = salad.load("salad-lite")
 print(model.name, model.dim, model.fingerprint, model.preprocessing.height, model.calibration.centred)
-for ask in (lambda: model.describe([np.zeros((9, 9, 3), np.uint8)]), lambda: model.network, lambda: model(None)):
+photo = np.zeros((9, 9, 3), np.uint8)
+print(model.describe([photo]).shape, model.token_assignment(photo).dustbin.shape)
+for ask in (lambda: model.network, lambda: model(None)):
     try:
         ask()
     except salad.SaladError as error:
@@ -79,10 +81,11 @@ for ask in (lambda: model.describe([np.zeros((9, 9, 3), np.uint8)]), lambda: mod
 """
     ran = run(code)
     assert ran.returncode == 0, ran.stderr
-    told, *refused = ran.stdout.splitlines()
+    told, shapes, *refused = ran.stdout.splitlines()
     assert told == "salad-lite 8448 ea968928572f4e59 320 True"
     sentence = "running a model by torch needs the 'torch' extra: pip install 'salad-vpr[torch]'"
-    assert refused == [sentence] * 3
+    assert shapes == "(1, 8448) (20, 20)"
+    assert refused == [sentence] * 2
 
 
 def test_a_published_file_needs_torch_to_be_read(tmp_path: Path) -> None:
@@ -106,5 +109,5 @@ def test_no_room_has_tensors_from_safetensors(room: str) -> None:
     """The imports of torch itself are import-linter's to find; a package's torch half is not."""
     for file in (Path(salad.__file__).parent / room).rglob("*.py"):
         assert not re.search(r"safetensors\.torch|utils\.dlpack|\.from_numpy", file.read_text(encoding="utf-8")) or (
-            file.name == "engines.py"
+            file.name == "torch_engine.py"
         ), file

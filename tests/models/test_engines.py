@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import hashlib
 import pickle
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,7 +21,7 @@ from salad.errors import ModelError, WeightsError
 from salad.models.describer import Describer
 from salad.models.engines import Engine
 from salad.models.fake import FakeEngine
-from salad.models.model_folder import write_folder
+from salad.models.model_folder import add_graph, load, write_folder
 from salad.models.torch_engine import TorchEngine
 from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.baseline_config import GemConfig, NetVladConfig
@@ -37,6 +39,19 @@ def _torch(config: ModelConfig) -> Callable[[], Engine]:
     return lambda: TorchEngine.of(build(config))
 
 
+_FOLDERS = tempfile.TemporaryDirectory(prefix="salad-engines-")  # of exported models, for as long as the tests run
+
+
+def _onnx(config: ModelConfig) -> Callable[[], Engine]:
+    def engine() -> Engine:
+        folder = Path(_FOLDERS.name) / hashlib.sha256(repr(config).encode()).hexdigest()[:8]
+        if not folder.exists():
+            add_graph(write_folder(build(config), folder, dtype="float16"))
+        return load(folder, engine="onnx").engine
+
+    return engine
+
+
 # An engine more is a line here: what makes it, for photos of a size of its own choice.
 ENGINES: dict[str, Callable[[], Engine]] = {
     "fake": FakeEngine,
@@ -45,6 +60,10 @@ ENGINES: dict[str, Callable[[], Engine]] = {
     "torch, lite": _torch(LITE),
     "torch, no plan": _torch(PLAIN),
     "torch, route": _torch(ROUTE),
+    "onnx, vit": _onnx(VIT),
+    "onnx, lite": _onnx(LITE),
+    "onnx, no plan": _onnx(PLAIN),
+    "onnx, route": _onnx(ROUTE),
 }
 
 
@@ -273,9 +292,10 @@ def test_counters_and_flags_count_in_a_fingerprint(config: ModelConfig, dtype: s
     assert bool(flags) == (config is not VIT)
 
 
-def test_another_engine_has_no_torch_module() -> None:
+def test_a_module_is_made_of_an_engines_weights_or_nothing_changes() -> None:
     model = Describer(dataclasses.replace(VIT, preprocessing=Preprocessing(64, 64)), FakeEngine(17))
     assert model.describe([np.zeros((64, 64, 3), np.uint8)]).shape == (1, model.dim)
     assert model.token_assignment(np.zeros((9, 9, 3), np.uint8)).dustbin.shape == (8, 8)
-    with pytest.raises(ModelError, match="vit runs in FakeEngine, which has no torch module"):
+    with pytest.raises(WeightsError, match="vit does not fit the model it describes"):
         assert isinstance(model.network, Network)
+    assert isinstance(model.engine, FakeEngine)

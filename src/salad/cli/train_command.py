@@ -141,11 +141,12 @@ class TrainCommand:
         from salad.training.devices import first_process
         from salad.training.trainer import train
 
+        places = self._places(data)
         # With several devices this very command runs once for each: the first alone draws a bar and speaks.
         with terminal.progress("training") if first_process() else nullcontext() as bar:
             made = train(
                 preset,
-                self._places(data),
+                places,
                 to=to,
                 start=self.start,
                 accelerator=self.accelerator,
@@ -159,8 +160,18 @@ class TrainCommand:
                 say=terminal.say,
             )
         if first_process():
+            self._add_graph(made, [photo for place in places for photo in place.photos])
             terminal.write(str(made))
         return terminal.FOUND
+
+    def _add_graph(self, model: Path, photos: list[Path]) -> None:
+        """Let the model run without torch; one that cannot be exported is trained all the same."""
+        from salad.models.model_folder import add_graph
+
+        try:
+            add_graph(model, photos)
+        except SaladError as error:
+            terminal.say(f"the model runs by torch alone, for it has no graph: {error}")
 
     def _say_what_would_be(self, preset: Preset) -> int:
         from salad.training.dry_run import dry_run

@@ -13,6 +13,10 @@ from salad.cli.arguments import Format, ModelName, Number, model_name_for, posit
 from salad.errors import WeightsError
 
 Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")]
+CheckPhotos = Annotated[
+    Path | None,
+    arg(metavar="DIR", help_behavior_hint="", help="Photos to check the graph on; made pictures where not given."),
+]
 
 
 @dataclass(frozen=True)
@@ -83,12 +87,15 @@ class ConvertFile:
     """The folder to make."""
     heads: Number = None
     """Attention heads, where not width / 64: no file says them."""
+    photos: CheckPhotos = None
 
     def run(self) -> int:
         """Convert."""
         from salad.models.model_folder import load, write_folder
 
-        terminal.write(str(write_folder(load(self.file, heads=self.heads), self.to)))
+        folder = write_folder(load(self.file, heads=self.heads), self.to)
+        _with_graph(folder, self.photos)
+        terminal.write(str(folder))
         return terminal.FOUND
 
 
@@ -112,7 +119,7 @@ class MakeVocabulary:
     def run(self) -> int:
         """Make the vocabulary."""
         from salad.index.index import Index
-        from salad.models.model_folder import load, write_folder
+        from salad.models.model_folder import add_graph, load, write_folder
         from salad.training.vocabulary import with_vocabulary
 
         positive(self.clusters, "--clusters")
@@ -133,7 +140,9 @@ class MakeVocabulary:
             )
         for sentence in terminal.first_few(unreadable, what="could not be read"):
             terminal.say(sentence)
-        terminal.write(str(write_folder(made, self.to)))
+        folder = write_folder(made, self.to)
+        add_graph(folder, photos)
+        terminal.write(str(folder))
         return terminal.FOUND
 
 
@@ -147,6 +156,7 @@ class MeanOfModels:
     ]
     to: Path
     """The folder to make."""
+    photos: CheckPhotos = None
 
     def run(self) -> int:
         """Average."""
@@ -155,8 +165,31 @@ class MeanOfModels:
         networks = [load(each).network for each in self.models]  # without torch, this says so
         from salad.network.checkpoints import mean
 
-        terminal.write(str(write_folder(mean(networks), self.to)))
+        folder = write_folder(mean(networks), self.to)
+        _with_graph(folder, self.photos)
+        terminal.write(str(folder))
         return terminal.FOUND
+
+
+@dataclass(frozen=True)
+class WriteGraph:
+    """Put a graph into a model's folder, so that it runs without torch; it is checked against torch first."""
+
+    model: Annotated[Positional[Path], arg(metavar="DIR", help="A model's folder.")]
+    photos: CheckPhotos = None
+
+    def run(self) -> int:
+        """Export."""
+        terminal.write(str(_with_graph(self.model, self.photos)))
+        return terminal.FOUND
+
+
+def _with_graph(folder: Path, photos: Path | None) -> Path:
+    """Export a model, checked on photos of a folder where one is named."""
+    from salad.images.photo import find_photos
+    from salad.models.model_folder import add_graph
+
+    return add_graph(folder, [] if photos is None else find_photos([str(photos)]))
 
 
 @dataclass(frozen=True)
@@ -170,6 +203,7 @@ class WeightsCommand:
         | Annotated[ConvertFile, subcommand("convert")]
         | Annotated[MakeVocabulary, subcommand("vocabulary")]
         | Annotated[MeanOfModels, subcommand("mean")]
+        | Annotated[WriteGraph, subcommand("graph")]
     )
 
     def run(self) -> int:

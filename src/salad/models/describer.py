@@ -18,7 +18,7 @@ from salad.models.torch_engine import TorchEngine
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 if TYPE_CHECKING:
-    from salad.models.engines import Outputs, Weights
+    from salad.models.engines import Choice, Outputs, Weights
     from salad.models.torch_engine import Network
     from salad.network.config import Output
 
@@ -71,10 +71,11 @@ class Describer:
     Args:
         config: What the model is.
         engine: What runs it.
+        engine_choice: Which engine that is and why, where it was chosen among several.
     """
 
-    def __init__(self, config: ModelConfig, engine: Engine) -> None:
-        self.config, self.engine = config, engine
+    def __init__(self, config: ModelConfig, engine: Engine, *, engine_choice: Choice | None = None) -> None:
+        self.config, self.engine, self.engine_choice = config, engine, engine_choice
 
     @classmethod
     def of(cls, network: Network) -> Self:
@@ -118,13 +119,17 @@ class Describer:
     def network(self) -> Network:
         """SALAD as a torch module, to train or to look into; loaded when it is first asked for.
 
+        From then on it is what describes photos, whatever engine did before: it may be trained.
+
         Raises:
-            ModelError: If the model runs in another engine than torch.
+            WeightsError: If the weights do not fit the configuration.
             MissingExtraError: If torch is not installed.
         """
-        # An exported graph has no gradients, and weights that were trained beside it would not be the ones it runs.
         if not isinstance(self.engine, TorchEngine):
-            raise ModelError(f"the model {self.name} runs in {type(self.engine).__name__}, which has no torch module")
+            given = self.engine
+            engine = TorchEngine(self.config, given.weights, source=Path(self.name), device=given.device)
+            _ = engine.network  # before the engine is changed: without torch, everything stays as it was
+            self.engine = engine
         return self.engine.network
 
     def __call__(self, images: Any) -> Any:

@@ -13,7 +13,8 @@ batch, and is asked for its outputs by name, as runtimes of exported graphs want
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from importlib.util import find_spec
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -24,6 +25,8 @@ from salad.network.config import Output
 Weights = Mapping[str, Any]
 """Arrays under the names they have in `model.safetensors`."""
 Photos = UInt8[np.ndarray, "batch height width 3"]
+EngineName = Literal["auto", "onnx", "torch"]
+"""What a user may ask for."""
 Outputs = dict[Output, Float32[np.ndarray, "batch ..."]]
 
 
@@ -86,3 +89,41 @@ def check_request(engine: Engine, photos: Photos, outputs: Sequence[Output]) -> 
     for name in outputs:
         if name not in engine.outputs:
             raise ModelError(f"this model has no output {name!r}: ask for {', '.join(engine.outputs)}")
+
+
+class Choice(NamedTuple):
+    """Which engine runs a model, and why it is that one, for whoever wonders.
+
+    Args:
+        name: `onnx` or `torch`.
+        why: A clause.
+    """
+
+    name: Literal["onnx", "torch"]
+    why: str
+
+
+def choose(asked: EngineName, *, graph: bool, device: str = "cpu") -> Choice:
+    """The engine for a model; where `auto` is asked for, one that computes in float32.
+
+    Args:
+        asked: What the user wants.
+        graph: Whether there is a graph of the model.
+        device: Where it is to run, as torch names it.
+
+    Raises:
+        ModelError: If there is no such engine, or it cannot run the model.
+    """
+    if asked not in ("auto", "onnx", "torch"):
+        raise ModelError(f"there is no engine {asked!r}: give auto, onnx or torch")
+    if asked == "onnx" and not graph:
+        raise ModelError(
+            "the engine onnx runs a model by its graph.onnx, and this one has none: write it with 'salad weights graph'"
+        )
+    if asked != "auto":
+        return Choice(asked, "it was asked for")
+    if not graph:
+        return Choice("torch", "the model has no graph.onnx")
+    if device != "cpu" and find_spec("torch") is not None:
+        return Choice("torch", f"it runs on {device}")
+    return Choice("onnx", "it is the fastest everywhere that computes in float32")

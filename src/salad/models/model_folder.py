@@ -1,13 +1,18 @@
 """A model on disk: our own folder, which knows its own shape, and the one door `load` to every kind of weights.
 
 Our format is a folder of `model.safetensors` beside `config.json`. It is read and written as arrays, without torch.
+A third file, `graph.onnx`, lets other runtimes than torch run it: it points into the weights by offsets and would give
+rubbish with any others, without an error. So `config.json` holds the checksums of both, and they are compared whenever
+the model is opened.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,15 +23,20 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from salad.errors import MissingExtraError, ModelError, WeightsError
+from salad.errors import MissingExtraError, ModelError, PhotoError, WeightsError
 from salad.models import hub
-from salad.models.describer import Describer
-from salad.models.engines import Weights
-from salad.models.torch_engine import TorchEngine, published_network
-from salad.network.config import Calibration, ModelConfig
+from salad.models.describer import Describer, PhotoLike, squeezed
+from salad.models.engines import Engine, EngineName, Weights, choose
+from salad.models.onnx_engine import OnnxEngine
+from salad.models.torch_engine import TorchEngine, published_network, write_graph
+from salad.network.config import Calibration, ModelConfig, Preprocessing
 
-WEIGHTS, CONFIG = "model.safetensors", "config.json"
+WEIGHTS, CONFIG, GRAPH = "model.safetensors", "config.json", "graph.onnx"
 FORMAT = 1
+CHECKED_ON = 10  # photos that a graph is compared with torch on
+
+Checksums = dict[str, str]
+"""SHA-256 of a model's graph and of the weights it points into, by the names of their files; empty without a graph."""
 
 
 class Weighted(Protocol):
@@ -42,21 +52,32 @@ class Weighted(Protocol):
         ...
 
 
-def load(spec: str | Path, *, device: str = "cpu", heads: int | None = None) -> Describer:
+def load(
+    spec: str | Path,
+    *,
+    device: str = "cpu",
+    heads: int | None = None,
+    engine: EngineName = "auto",
+    threads: int | None = None,
+) -> Describer:
     """A model ready to describe photos.
 
-    Where torch is not installed, a model of our own format still tells its name, its preprocessing, its calibration
-    and its fingerprint; describing says what is missing.
+    A model of our own format that has a graph needs no torch. One that has none still tells its name, its
+    preprocessing, its calibration and its fingerprint without it; describing says what is missing.
 
     Args:
         spec: A name of the zoo, a folder of ours, or a published file.
         device: Where to run, as torch names it: `cpu`, `mps`, or an accelerator with its number.
         heads: Attention heads of a published file, which the file itself cannot say; width / 64 by default.
+        engine: What runs it: `onnx` (ONNX Runtime), `torch`, or `auto`, which chooses what is fastest and computes the
+            same; `Describer.engine_choice` says which, and why.
+        threads: How many a batch is spread over; what the engine thinks best where not given.
 
     Raises:
         WeightsError: If there is no such model, or its weights are not what they must be.
         FetchError: If the weights have to be fetched first and cannot be.
-        ModelError: If the device cannot be used.
+        ModelError: If the device cannot be used, or the engine cannot run the model.
+        MissingExtraError: If it is a published file, and torch is not installed.
     """
     # What lies on disk goes before the zoo: a folder named like one of its models is somebody's own copy.
     path, name = Path(spec), None
@@ -67,22 +88,34 @@ def load(spec: str | Path, *, device: str = "cpu", heads: int | None = None) -> 
             )
         path, name = hub.fetch(str(spec)), str(spec)
     if path.is_dir():
-        return read_folder(path, device=device)
+        return read_folder(path, device=device, engine=engine, threads=threads)
+    if engine not in ("auto", "torch"):
+        raise ModelError(f"{path} is a published file, which torch alone runs: convert it with 'salad weights convert'")
     return read_published(path, heads=heads, name=name, device=device)
 
 
-def read_folder(folder: Path, *, device: str = "cpu") -> Describer:
-    """A model in our own format.
+def read_folder(
+    folder: Path, *, device: str = "cpu", engine: EngineName = "auto", threads: int | None = None
+) -> Describer:
+    """A model in our own format; the arguments are those of `load`.
 
     Raises:
-        WeightsError: If a file is missing, damaged, or does not belong to the other.
-        ModelError: If the device cannot be used.
+        WeightsError: If a file is missing, damaged, or does not belong to the others.
+        ModelError: If the device cannot be used, or the engine cannot run the model.
     """
-    config, file = _read_config(folder), folder / WEIGHTS
-    engine = TorchEngine(config, partial(_read_weights, file), source=file, device=device)
-    with suppress(MissingExtraError):
-        _ = engine.network  # now, so that damaged weights are said of here and not at the first photo
-    return Describer(config, engine)
+    config, checksums = _read_config(folder)
+    _check_files(folder, checksums)
+    choice = choose(engine, graph=GRAPH in checksums, device=device)
+    file, read = folder / WEIGHTS, partial(_read_weights, folder / WEIGHTS)
+    runs: Engine
+    if choice.name == "onnx":
+        runs = OnnxEngine(config, folder / GRAPH, read, device=device, threads=threads)
+        _ = runs.session  # now, so that damaged files are said of here and not at the first photo
+    else:
+        runs = TorchEngine(config, read, source=file, device=device, threads=threads)
+        with suppress(MissingExtraError):
+            _ = runs.network
+    return Describer(config, runs, engine_choice=choice)
 
 
 def read_published(path: Path, *, heads: int | None = None, name: str | None = None, device: str = "cpu") -> Describer:
@@ -97,7 +130,7 @@ def read_published(path: Path, *, heads: int | None = None, name: str | None = N
 
 
 def write_folder(model: Weighted, folder: str | Path, *, dtype: str = "float32", overwrite: bool = False) -> Path:
-    """Write a model in our own format; the folder appears whole or not at all.
+    """Write a model in our own format, without a graph (`add_graph`); the folder appears whole or not at all.
 
     Args:
         model: What to write.
@@ -141,19 +174,70 @@ def write_calibration(folder: str | Path, calibration: Calibration) -> None:
         WeightsError: If it is not a model, or cannot be written; then it stays as it was.
     """
     folder = Path(folder)
-    config = replace(_read_config(folder), calibration=calibration)
+    config, checksums = _read_config(folder)
+    _rewrite_config(folder, replace(config, calibration=calibration), checksums, what="the calibration")
+
+
+def add_graph(folder: str | Path, photos: Sequence[PhotoLike] = ()) -> Path:
+    """Put a graph into a model's folder, so that it needs no torch from now on; it is checked against torch first.
+
+    Args:
+        folder: The model.
+        photos: To check it on: ten of them, evenly spread, and made pictures where fewer can be read.
+
+    Returns:
+        The graph.
+
+    Raises:
+        WeightsError: If it is not a model, or cannot be written; then it stays as it was.
+        ModelError: If the model cannot be exported, or the graph computes anything else than torch does.
+        MissingExtraError: If torch or its exporter is not installed.
+    """
+    folder = Path(folder)
+    config, _ = _read_config(folder)
+    engine = TorchEngine(config, partial(_read_weights, folder / WEIGHTS), source=folder / WEIGHTS)
+    # In the model's own folder: where a graph lies is where it looks for its weights.
+    draft = folder / f".{GRAPH}.part"
+    try:
+        write_graph(engine.network, folder / WEIGHTS, draft, _checked_on(photos, config.preprocessing))
+        shutil.copymode(folder / CONFIG, draft)
+        checksums = {GRAPH: _sha256(draft), WEIGHTS: _sha256(folder / WEIGHTS)}
+        # An old graph's checksum goes first: between two renames there may be a model without a graph, but none with
+        # one that is not its own.
+        _rewrite_config(folder, config, {}, what="the graph")
+        draft.replace(folder / GRAPH)
+    except OSError as error:
+        raise WeightsError(f"the graph cannot be written to {folder}: {error}") from error
+    finally:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+    _rewrite_config(folder, config, checksums, what="the graph")
+    return folder / GRAPH
+
+
+def _checked_on(photos: Sequence[PhotoLike], size: Preprocessing) -> list[np.ndarray]:
+    """Up to ten photos of those given that can be read, squeezed."""
+    readable: list[np.ndarray] = []
+    for photo in photos[:: max(1, len(photos) // CHECKED_ON)]:
+        if len(readable) < CHECKED_ON:
+            with suppress(PhotoError):
+                readable.append(squeezed(photo, size))
+    return readable
+
+
+def _rewrite_config(folder: Path, config: ModelConfig, checksums: Checksums, *, what: str) -> None:
     draft = folder / f".{CONFIG}.part"
     try:
-        draft.write_text(_config_text(config), encoding="utf-8")
+        draft.write_text(_config_text(config, checksums), encoding="utf-8")
         shutil.copymode(folder / CONFIG, draft)  # whoever could read the model still can
         draft.replace(folder / CONFIG)
     except OSError as error:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
-        raise WeightsError(f"the calibration cannot be written to {folder}: {error}") from error
+        raise WeightsError(f"{what} cannot be written to {folder}: {error}") from error
 
 
-def _read_config(folder: Path) -> ModelConfig:
+def _read_config(folder: Path) -> tuple[ModelConfig, Checksums]:
     for name in (CONFIG, WEIGHTS):
         if not (folder / name).is_file():
             raise WeightsError(f"{folder} is not a model: it holds no {name}")
@@ -163,13 +247,32 @@ def _read_config(folder: Path) -> ModelConfig:
         version = settings.pop("format")
         if version != FORMAT:
             raise WeightsError(f"{folder / CONFIG} has format {version}, this salad reads {FORMAT}: upgrade salad-vpr")
-        return ModelConfig.from_dict(settings)
+        # Left out where there is no graph, for older versions refuse a setting that they do not know.
+        checksums = dict(settings.pop("files", {}))
+        return ModelConfig.from_dict(settings), checksums
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
         raise WeightsError(f"{folder / CONFIG} cannot be read: {error}") from error
 
 
-def _config_text(config: ModelConfig) -> str:
-    return json.dumps({"format": FORMAT, **config.as_dict()}, indent=2) + "\n"
+def _config_text(config: ModelConfig, checksums: Checksums | None = None) -> str:
+    files = {"files": checksums} if checksums else {}
+    return json.dumps({"format": FORMAT, **config.as_dict(), **files}, indent=2) + "\n"
+
+
+def _check_files(folder: Path, checksums: Checksums) -> None:
+    for name, due in checksums.items():
+        if name not in (GRAPH, WEIGHTS) or not (folder / name).is_file():
+            raise WeightsError(f"{folder / CONFIG} tells of a file {name!r}, which is not there: copy the model anew")
+        if _sha256(folder / name) != due:
+            raise WeightsError(
+                f"{folder / name} is not the file that {CONFIG} beside it was written for, and graph and weights only "
+                "fit each other: copy the model anew, or write its graph anew with 'salad weights graph'"
+            )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _read_weights(file: Path) -> dict[str, np.ndarray]:

@@ -28,10 +28,21 @@ class TorchEngine:
         read: Gives its weights.
         source: The file they are from, for errors.
         device: Where to run, as torch names it.
+        threads: How many a batch is spread over, by everything that torch does in this process; its own choice where
+            not given.
     """
 
-    def __init__(self, config: ModelConfig, read: Callable[[], Weights], *, source: Path, device: str = "cpu") -> None:
-        self.config, self._read, self._source, self._device = config, read, source, str(device)
+    def __init__(
+        self,
+        config: ModelConfig,
+        read: Callable[[], Weights],
+        *,
+        source: Path,
+        device: str = "cpu",
+        threads: int | None = None,
+    ) -> None:
+        self.config, self.threads = config, threads
+        self._read, self._source, self._device = read, source, str(device)
         self._network: Network | None = None
         self._loading = threading.Lock()  # eight threads that ask at once load it once
 
@@ -66,8 +77,12 @@ class TorchEngine:
 
     def _loaded(self) -> Network:
         _insist_on_torch()
+        import torch
+
         from salad.network.network import load_weights
 
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
         return _moved(load_weights(self.config, self._read(), source=self._source), self._device)
 
     @property
@@ -123,6 +138,24 @@ def published_network(path: Path, *, heads: int | None, name: str | None, device
     from salad.network.checkpoints import read_published
 
     return _moved(read_published(path, heads=heads, name=name), device)
+
+
+def write_graph(network: Network, weights: Path, to: Path, photos: Sequence[np.ndarray] = ()) -> None:
+    """Write a network's graph and check it, on made pictures where photos are too few; what is wrong does not stay.
+
+    Raises:
+        MissingExtraError: If torch or its exporter is not installed.
+        ModelError: If the network cannot be exported, or the graph computes anything else.
+    """
+    _insist_on_torch()
+    from salad.network.export import check_graph, export_graph, made_pictures
+
+    try:
+        export_graph(network, weights, to)
+        check_graph(network, to, np.stack([*photos, *made_pictures(network.config.preprocessing)]))
+    except BaseException:
+        to.unlink(missing_ok=True)
+        raise
 
 
 def _moved(network: Network, device: str) -> Network:

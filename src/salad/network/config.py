@@ -119,6 +119,8 @@ VITS: dict[str, ViTConfig] = {
 
 Output = Literal["descriptor", "patches", "cls", "plan"]
 """What a model gives: see `salad.models.engines`."""
+# What an exported graph calls its input, and what it says its settings under: as long as there are graphs on disk.
+PHOTOS, SETTINGS = "photos", "salad.settings"
 # What every backbone here was trained with.
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -259,6 +261,12 @@ class ModelConfig:
         # From the configuration and not from the weights: who exports or runs a model asks before loading it.
         return ("descriptor", "patches", "cls", *(("plan",) if self.aggregator.has_plan else ()))
 
+    @property
+    def counted(self) -> dict[str, Any]:
+        """The settings that say what is computed, as JSON holds them: a change of one makes another model."""
+        settings = self.as_dict()
+        return {part: settings[part] for part in ("backbone", "aggregator", "preprocessing")}
+
     def fingerprint(self, weights: Mapping[str, Any]) -> str:
         """What tells this model with these weights from every other, as indexes keep it: 16 hexadecimal digits.
 
@@ -268,10 +276,8 @@ class ModelConfig:
         Args:
             weights: Arrays under their serialised names.
         """
-        settings = self.as_dict()
-        counted = {part: settings[part] for part in ("backbone", "aggregator", "preprocessing")}
         # Indexes of the field hold such fingerprints: a change of one byte below would make strangers of all of them.
-        digest = hashlib.sha256(json.dumps(counted, sort_keys=True).encode())
+        digest = hashlib.sha256(json.dumps(self.counted, sort_keys=True).encode())
         for key, value in sorted(weights.items()):
             digest.update(f"{key}{tuple(value.shape)}".encode())
             # Little-endian on every machine, and one precision: a copy of a model in float16 is told by what it rounds.

@@ -93,7 +93,7 @@ class Network(nn.Module):
             if name == "descriptor":
                 made[name] = self.aggregator(tokens)
             elif name == "patches":
-                made[name] = tokens.patches.reshape(len(photos), *tokens.grid, self.backbone.width)
+                made[name] = tokens.patches.reshape(photos.shape[0], *tokens.grid, self.backbone.width)
             elif name == "cls":
                 made[name] = tokens.cls
             else:  # only configurations that say `has_plan` come here, whose modules have one

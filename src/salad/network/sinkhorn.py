@@ -120,4 +120,4 @@ def _rows(scores: Tensor, dustbin: Tensor | None) -> Tensor:
     exact = scores if scores.dtype == torch.float64 else scores.float()
     if dustbin is None:
         return exact
-    return torch.cat([exact, dustbin.to(exact.dtype).expand(len(exact), 1, exact.shape[2])], dim=1)
+    return torch.cat([exact, dustbin.to(exact.dtype).expand(exact.shape[0], 1, exact.shape[2])], dim=1)

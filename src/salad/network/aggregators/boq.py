@@ -59,6 +59,6 @@ class QueryBlock(nn.Module):
         x = self.encoder(x)
         # Queries see each other first: that knows nothing of the photo, so once for the whole batch.
         seen, _ = self.among(self.queries, self.queries, self.queries, need_weights=False)
-        asked = self.norm_queries(self.queries + seen).expand(len(x), -1, -1)
+        asked = self.norm_queries(self.queries + seen).expand(x.shape[0], -1, -1)
         answers, _ = self.across(asked, x, x, need_weights=False)
         return x, self.norm_answers(answers)

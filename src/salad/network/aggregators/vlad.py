@@ -39,7 +39,8 @@ class Vlad(nn.Module):
         Raises:
             ModelError: If there is no vocabulary yet.
         """
-        if not self.fitted:
+        # An exporter cannot follow what depends on a weight; whoever exports asks for the vocabulary beforehand.
+        if not torch.compiler.is_exporting() and not self.fitted:
             raise ModelError(
                 "this VLAD has no vocabulary yet: make one from the photos of an index with 'salad weights vocabulary'"
             )

@@ -166,7 +166,7 @@ class ViT(Backbone):
 
     def _with_positions(self, patches: Tensor, grid: tuple[int, int]) -> Tensor:
         first, rest = self.pos_embed[:, :1], self._positions(grid)
-        batch = len(patches)
+        batch = patches.shape[0]  # and not its len: an exported graph would hold the example's for ever
         parts = [(self.cls_token + first).expand(batch, -1, -1)]
         # Registers stand between cls token and patches and have no position: they are nowhere in the photo.
         if self.config.registers:

@@ -135,7 +135,7 @@ class Lite(Backbone):
     def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tokens:
         """Cut normalised photos into tokens; both sides are multiples of the stride."""
         # A photo's tokens are its own, since the statistics are fixed: a batch may be cut as the cache likes it.
-        if images.device.type == "cpu" and len(images) > AT_ONCE:
+        if images.device.type == "cpu" and images.shape[0] > AT_ONCE:
             parts = [self(some) for some in torch.split(images, AT_ONCE)]
             patches, cls = (torch.cat(same) for same in zip(*(part[:2] for part in parts), strict=True))
             return Tokens(patches, cls, parts[0].grid, self.stride)

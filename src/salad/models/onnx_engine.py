@@ -1,0 +1,132 @@
+"""The engine that everybody has: it runs a model's `graph.onnx` by ONNX Runtime, and knows nothing of torch."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salad.errors import ModelError, WeightsError
+from salad.models.engines import Outputs, Photos, Weights, check_request
+from salad.network.config import PHOTOS, SETTINGS, ModelConfig, Output
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+
+class OnnxEngine:
+    """Runs an exported graph, in float32.
+
+    Args:
+        config: The model.
+        graph: Its `graph.onnx`, beside the weights it points into.
+        read: Gives these weights, for whoever asks for them; the graph reads the file by itself.
+        device: `cpu`, or an accelerator that this ONNX Runtime was built for, with its number, as torch names it.
+        threads: How many a batch is spread over; as many as there are cores where not given.
+    """
+
+    def __init__(
+        self,
+        config: ModelConfig,
+        graph: Path,
+        read: Callable[[], Weights],
+        *,
+        device: str = "cpu",
+        threads: int | None = None,
+    ) -> None:
+        self.config, self.threads = config, threads
+        self._graph, self._read, self._device = graph, read, str(device)
+        self._session: InferenceSession | None = None
+        self._loading = threading.Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the lock and the session, which another process makes anew."""
+        return {**vars(self), "_session": None, "_loading": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _loading=threading.Lock())
+
+    @property
+    def session(self) -> InferenceSession:
+        """ONNX Runtime's session, made the first time.
+
+        Raises:
+            WeightsError: If the graph is damaged, or another model's than the configuration's.
+            ModelError: If the device cannot be used.
+        """
+        with self._loading:
+            if self._session is None:
+                self._session = self._made()
+            return self._session
+
+    def _made(self) -> InferenceSession:
+        import onnxruntime
+
+        onnxruntime.disable_telemetry_events()  # there are none but on Windows, and none of ours anywhere
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3  # errors alone: they are told as ours below
+        options.intra_op_num_threads = self.threads or 0
+        # A thread that spins while it waits takes the core from the worker that reads the next photo.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        provider = _provider(self._device, onnxruntime.get_available_providers())
+        try:
+            session = onnxruntime.InferenceSession(self._graph, options, providers=[provider])
+        except Exception as error:  # the runtime's errors have no common ancestor
+            raise WeightsError(f"{self._graph} cannot be run: {str(error).splitlines()[0]}") from error
+        made_of = session.get_modelmeta().custom_metadata_map.get(SETTINGS, "null")
+        # A setting changed by hand, the size or the colours' mean, would change the fingerprint and nothing else.
+        if made_of != json.dumps(self.config.counted, sort_keys=True):
+            raise WeightsError(
+                f"{self._graph} was made of other settings than the config.json beside it has: write it anew with "
+                "'salad weights graph'"
+            )
+        return session
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels of the photos it takes."""
+        return self.config.preprocessing.height, self.config.preprocessing.width
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """What it can be asked for."""
+        return self.config.outputs
+
+    @property
+    def device(self) -> str:
+        """Where it runs."""
+        return self._device
+
+    def weights(self) -> Weights:
+        """The weights in the file that the graph points into."""
+        return self._read()
+
+    def run(self, photos: Photos, outputs: Sequence[Output] = ("descriptor",)) -> Outputs:
+        """Run a batch; threads that ask at once are served at once.
+
+        Raises:
+            ModelError: If the photos are of another shape or type, or an output is not there.
+            WeightsError: If the graph is damaged.
+        """
+        check_request(self, photos, outputs)
+        # No runtime promises anything of an empty batch: one photo says what shapes there are.
+        asked = np.ascontiguousarray(photos) if len(photos) else np.zeros((1, *photos.shape[1:]), np.uint8)
+        made = self.session.run(list(outputs), {PHOTOS: asked})
+        return {name: value[: len(photos)] for name, value in zip(outputs, made, strict=True)}
+
+
+def _provider(device: str, available: Sequence[str]) -> Any:
+    """What ONNX Runtime calls the device.
+
+    Raises:
+        ModelError: If it has no such device here.
+    """
+    kind, _, number = device.partition(":")
+    name = f"{kind.upper()}ExecutionProvider"  # as it calls the processor, and every maker's cards
+    if name not in available or not (number or "0").isdigit():
+        raise ModelError(f"the device {device!r} cannot be used here: this ONNX Runtime has {', '.join(available)}")
+    return name if kind == "cpu" else (name, {"device_id": int(number or 0)})
