@@ -278,11 +278,12 @@ def _sha256(path: Path) -> str:
 def _read_weights(file: Path) -> dict[str, np.ndarray]:
     try:
         weights: dict[str, np.ndarray] = load_file(file)
-        # bfloat16 is torch's alone, or known to NumPy as soon as some library has taught it: refused in either case.
-        if strange := {value.dtype for value in weights.values() if value.dtype.kind not in "fiub"}:
-            raise TypeError(f"{strange.pop()}")
-        return weights
+        strange = {str(value.dtype) for value in weights.values() if value.dtype.kind not in "fiub"}
     except (KeyError, TypeError) as error:
         raise WeightsError(f"{file} holds numbers of a type that is not known here ({error})") from error
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{file} is no safetensors file that can be read: {error}") from error
+    # bfloat16 is torch's alone until some library teaches NumPy what it is, and then no fingerprint was made for it.
+    if strange:
+        raise WeightsError(f"{file} holds numbers of a type that is not known here ({strange.pop()})")
+    return weights
