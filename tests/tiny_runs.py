@@ -6,20 +6,23 @@ import dataclasses
 import importlib.util
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from torch import Tensor
 
 from salad.datasets.places import find_places
 from salad.datasets.training_place import TrainingPlace
 from salad.models.describer import Describer, PhotoLike
 from salad.network.aggregator_config import SaladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
-from salad.network.network import Network
 from salad.training.recipe import Preset, Recipe
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from salad.network.network import Network
 
 Teach = Callable[..., Path]
 

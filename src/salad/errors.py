@@ -20,6 +20,9 @@ stands and exits with 2; nothing else in the package catches a `SaladError` it c
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class SaladError(Exception):
     """Base of every error this package raises on purpose."""
@@ -79,3 +82,22 @@ class MissingExtraError(SaladError):
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
         return type(self), self._made_of  # else no other process could make it again of its sentence
+
+
+@contextmanager
+def needs_extra(what: str, extra: str) -> Iterator[None]:
+    """Import an optional dependency, or what leans on one, in the block of this.
+
+    Args:
+        what: What the import is for, as a sentence begins with it.
+        extra: The extra that brings the dependency.
+
+    Raises:
+        MissingExtraError: If the dependency is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] == "salad":  # one of our own modules: no extra would bring it
+            raise
+        raise MissingExtraError(what, extra) from error

@@ -15,7 +15,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from salad.errors import MissingExtraError
+from salad.errors import needs_extra
 
 Header = Callable[[list[str]], Sequence[str]]
 """Takes the columns' names as a table has them, and gives what to call them; or raises, where one is missing."""
@@ -126,7 +126,6 @@ def csv_line(values: Iterable[object]) -> str:
 
 def _arrow(doing: str) -> tuple[Any, Any]:
     """The package pyarrow, and its part for Parquet."""
-    try:
-        return import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise MissingExtraError(doing, "parquet") from error
+    with needs_extra(doing, "parquet"):
+        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+    return arrow, parquet

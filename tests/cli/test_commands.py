@@ -453,6 +453,7 @@ def tiny_training(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PRESETS, "tiny", Preset(TINY, "", recipe))
 
 
+@pytest.mark.torch
 def test_train_makes_a_model_that_locates(
     cli: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, training_photos: Path
 ) -> None:
@@ -473,8 +474,8 @@ def test_train_makes_a_model_that_locates(
     ("arguments", "named"),
     [
         (["--preset", "nope"], "nope"),
-        (["--start", "no-such.pth"], "no-such.pth"),
-        (["--data", "nowhere"], "nowhere"),
+        pytest.param(["--start", "no-such.pth"], "no-such.pth", marks=pytest.mark.torch),
+        pytest.param(["--data", "nowhere"], "nowhere", marks=pytest.mark.torch),
     ],
 )
 def test_train_refuses_what_is_not_there(
@@ -525,6 +526,7 @@ def model_folder(tmp_path: Path) -> Path:
     return write_folder(build(TINY), tmp_path / "models" / "my tiny")
 
 
+@pytest.mark.torch
 def test_the_whole_road_with_a_model_folder(cli: Any, photos: Any, model_folder: Path, tmp_path: Path) -> None:
     city = tmp_path / "city.index"
     assert cli("index", photos.reference[0], "--to", city, "--model", model_folder).code == 0
@@ -537,6 +539,7 @@ def test_the_whole_road_with_a_model_folder(cli: Any, photos: Any, model_folder:
     assert ran.json()["recall"]["10"] == 100.0
 
 
+@pytest.mark.torch
 def test_a_model_folder_has_to_be_named_again(cli: Any, photos: Any, model_folder: Path, tmp_path: Path) -> None:
     city = tmp_path / "city.index"
     cli("index", photos.reference[0], "--to", city, "--model", model_folder)
@@ -549,6 +552,7 @@ def test_a_model_folder_has_to_be_named_again(cli: Any, photos: Any, model_folde
         assert "--model" in sentence
 
 
+@pytest.mark.torch
 def test_a_device_that_is_not_here_is_refused(cli: Any, photos: Any, model_folder: Path, tmp_path: Path) -> None:
     command = ("index", photos.reference[0], "--to", tmp_path / "index", "--model", model_folder)
     assert "warp" in one_sentence(cli(*command, "--device", "warp"))

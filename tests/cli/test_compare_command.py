@@ -37,6 +37,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.torch
 def test_a_grid_is_trained_measured_and_told(cli: Any, photos: Any, data: Path, tmp_path: Path) -> None:
     to = tmp_path / "runs"
     command = (
@@ -60,6 +61,7 @@ def test_a_grid_is_trained_measured_and_told(cli: Any, photos: Any, data: Path, 
     assert "of 2 runs" not in again.err
 
 
+@pytest.mark.torch
 def test_heads_alone_are_compared_under_a_frozen_backbone(cli: Any, photos: Any, data: Path, tmp_path: Path) -> None:
     to = tmp_path / "runs"
     ran = cli(
@@ -144,6 +146,7 @@ def test_bad_input_is_a_sentence(cli: Any, tmp_path: Path, arguments: tuple[Any,
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.torch
 def test_data_start_and_names_are_looked_at_first(cli: Any, photos: Any, data: Path, tmp_path: Path) -> None:
     town = ("--benchmark", "town", photos.references, photos.queries, "frames:0")
     command = ("compare", "--grid", "sizes", "--to", tmp_path / "runs", *town)

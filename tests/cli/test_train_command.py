@@ -100,6 +100,7 @@ def test_steps_are_shared_or_given_by_stage() -> None:
     assert TrainCommand(preset="paper", epochs=2)._preset().recipe.epochs == 2
 
 
+@pytest.mark.torch
 def test_a_benchmark_of_ones_own_is_the_judge(cli: Cli, tmp_path: Path, data: Path) -> None:
     truth = tmp_path / "truth.csv"
     truth.write_text("query,positives\n0.png,0.png;1.png\n")
@@ -111,6 +112,7 @@ def test_a_benchmark_of_ones_own_is_the_judge(cli: Cli, tmp_path: Path, data: Pa
     assert all(line["benchmark"]["mean"] == line["benchmark"]["R@1"] for line in told)
 
 
+@pytest.mark.torch
 def test_a_run_can_be_insisted_on(cli: Cli, tmp_path: Path, data: Path) -> None:
     command = ("train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", "--accelerator", "cpu")
     assert "no run in" in _sentence(cli(*command, "--resume"))
@@ -121,6 +123,7 @@ def test_a_run_can_be_insisted_on(cli: Cli, tmp_path: Path, data: Path) -> None:
     assert "another recipe" in _sentence(cli(*command, "--seed", 9))
 
 
+@pytest.mark.torch
 def test_a_dry_run_tells_and_writes_nothing(
     cli: Cli, tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,14 +154,19 @@ def test_a_dry_run_tells_and_writes_nothing(
         (["--held-out", "1.5"], "held_out of the recipe is 1.5"),
         (["--devices", "0"], "devices 0 is too few"),
         (["--nodes", "-1"], "nodes -1 is too few"),
-        (["--devices", "9", "--accelerator", "cpu"], "without any"),
         (["--sampler", "cliques"], "batches of cliques need mine_every"),
         (["--cache-versions", "2"], "only under a frozen backbone"),
-        (["--epochs", "2"], "epochs are counted by the sampler one-city alone"),
         (["--truth", "truth.csv"], "name its folders with --references and --queries"),
         (["--references", "here"], "--queries is missing"),
-        (["--start", "megaloc"], "megaloc is a published model"),
-        (["--accelerator", "abacus"], "training cannot run on 1 of 'abacus'"),
+        *(
+            pytest.param(*case, marks=pytest.mark.torch)
+            for case in (
+                (["--devices", "9", "--accelerator", "cpu"], "without any"),
+                (["--epochs", "2"], "epochs are counted by the sampler one-city alone"),
+                (["--start", "megaloc"], "megaloc is a published model"),
+                (["--accelerator", "abacus"], "training cannot run on 1 of 'abacus'"),
+            )
+        ),
     ],
 )
 def test_bad_values_are_refused_in_a_sentence(

@@ -73,6 +73,7 @@ def test_every_source_file_the_docs_name_is_there(pages: dict[str, str]) -> None
     assert seen > 20
 
 
+@pytest.mark.torch
 def test_every_dotted_name_the_docs_use_is_there(pages: dict[str, str]) -> None:
     """`salad.room.module.name`, in prose and in imports: rooms are moved more easily than words about them."""
     named: set[str] = set()

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from salad.index.index import Index
 from salad.index.transfer import Source, export, merge, model_of, read, take, writer
 
 DIM = 8
-FORMS = ("csv", "parquet", "geojson")
+FORMS = ("csv", "geojson", *(["parquet"] if find_spec("pyarrow") else []))
 
 
 def descriptors(count: int, seed: int = 0) -> np.ndarray:
@@ -135,6 +136,12 @@ def test_names_that_are_not_text(tmp_path: Path) -> None:
             with create(tmp_path / f"back.{form}") as back:
                 assert take(back, tmp_path / form) == 1
                 assert list(back.photos()) == [photo]
+
+
+def test_parquet_takes_no_name_that_is_not_text(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
+    with create(tmp_path / "i") as index:
+        index.add([Photo(Path(os.fsdecode(b"/photos/caf\xe9 \xff.jpg")))], descriptors(1), identities=["a"])
         with pytest.raises(StoreError, match=r"is not UTF-8, and Parquet holds no other names: export as csv"):
             export(index, tmp_path / "parquet", form="parquet")
         assert not (tmp_path / "parquet").exists()

@@ -12,7 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from salad.ablation.grids import Grid
 from salad.cli import terminal
 from salad.cli.arguments import Format, Number, positive
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, needs_extra
 
 if TYPE_CHECKING:
     from salad.ablation.grids import GridRow
@@ -125,8 +125,9 @@ class CompareCommand:
             raise BenchmarkError("there is nothing to learn from: name a folder with --data")
         places = [place for folder in self.data for place in find_places(folder, say=terminal.say)]
 
-        from salad.ablation.grid_setup import default_recipe, grid_setup
-        from salad.ablation.runner import GridRunner
+        with needs_extra("training the models to compare", "train"):
+            from salad.ablation.grid_setup import default_recipe, grid_setup
+            from salad.ablation.runner import GridRunner
 
         recipe = default_recipe(self.start, frozen=self.frozen)
         if self.steps is not None:

@@ -11,7 +11,7 @@ from tyro.conf import arg
 
 from salad.cli import terminal
 from salad.cli.arguments import SHIPPED, File, Folder, Metres, Number, Share, Table, benchmark_of, positive
-from salad.errors import BenchmarkError, SaladError
+from salad.errors import BenchmarkError, SaladError, needs_extra
 
 if TYPE_CHECKING:
     from salad.datasets.training_place import TrainingPlace
@@ -138,8 +138,9 @@ class TrainCommand:
         if self.dry_run:
             return self._say_what_would_be(preset)
         data, to = self._required(self.data, "data"), self._required(self.to, "to")
-        from salad.training.devices import first_process
-        from salad.training.trainer import train
+        with needs_extra("training", "train"):
+            from salad.training.devices import first_process
+            from salad.training.trainer import train
 
         places = self._places(data)
         # With several devices this very command runs once for each: the first alone draws a bar and speaks.
@@ -174,7 +175,8 @@ class TrainCommand:
             terminal.say(f"the model runs by torch alone, for it has no graph: {error}")
 
     def _say_what_would_be(self, preset: Preset) -> int:
-        from salad.training.dry_run import dry_run
+        with needs_extra("trying a training step", "train"):
+            from salad.training.dry_run import dry_run
 
         facts = dry_run(
             preset,

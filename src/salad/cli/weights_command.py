@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg, subcommand
 
 from salad.cli import terminal
 from salad.cli.arguments import Format, ModelName, Number, model_name_for, positive
-from salad.errors import WeightsError
+from salad.errors import WeightsError, needs_extra
 
 Name = Annotated[Positional[str], arg(metavar="NAME", help="A name of the zoo.")]
 CheckPhotos = Annotated[
@@ -120,7 +120,9 @@ class MakeVocabulary:
         """Make the vocabulary."""
         from salad.index.index import Index
         from salad.models.model_folder import add_graph, load, write_folder
-        from salad.training.vocabulary import with_vocabulary
+
+        with needs_extra("making a vocabulary", "train"):
+            from salad.training.vocabulary import with_vocabulary
 
         positive(self.clusters, "--clusters")
         if self.to.exists():  # said before the work, not after it
@@ -162,10 +164,10 @@ class MeanOfModels:
         """Average."""
         from salad.models.model_folder import load, write_folder
 
-        networks = [load(each).network for each in self.models]  # without torch, this says so
-        from salad.network.checkpoints import mean
+        with needs_extra("averaging weights", "torch"):
+            from salad.network.checkpoints import mean
 
-        folder = write_folder(mean(networks), self.to)
+        folder = write_folder(mean([load(each).network for each in self.models]), self.to)
         _with_graph(folder, self.photos)
         terminal.write(str(folder))
         return terminal.FOUND

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from salad.errors import MissingExtraError, ModelError
+from salad.errors import ModelError, needs_extra
 from salad.models.engines import Outputs, Photos, Weights, check_request
 from salad.network.config import ModelConfig, Output
 
@@ -76,10 +76,10 @@ class TorchEngine:
             return self._network
 
     def _loaded(self) -> Network:
-        _insist_on_torch()
-        import torch
+        with needs_extra("running a model by torch", "torch"):
+            import torch
 
-        from salad.network.network import load_weights
+            from salad.network.network import load_weights
 
         if self.threads is not None:
             torch.set_num_threads(self.threads)
@@ -134,8 +134,8 @@ def published_network(path: Path, *, heads: int | None, name: str | None, device
         WeightsError: If the file is of no layout known, or lacks or adds a tensor.
         ModelError: If the device cannot be used.
     """
-    _insist_on_torch()
-    from salad.network.checkpoints import read_published
+    with needs_extra("reading a published file of weights", "torch"):
+        from salad.network.checkpoints import read_published
 
     return _moved(read_published(path, heads=heads, name=name), device)
 
@@ -144,10 +144,9 @@ def write_graph(network: Network, weights: Path, to: Path, photos: Sequence[np.n
     """Write a network's graph and check it, on made pictures where photos are too few; what is wrong does not stay.
 
     Raises:
-        MissingExtraError: If torch or its exporter is not installed.
+        MissingExtraError: If torch's exporter is not installed.
         ModelError: If the network cannot be exported, or the graph computes anything else.
     """
-    _insist_on_torch()
     from salad.network.export import check_graph, export_graph, made_pictures
 
     try:
@@ -163,10 +162,3 @@ def _moved(network: Network, device: str) -> Network:
         return network.to(device)
     except (RuntimeError, AssertionError) as error:  # torch's own words differ from device to device
         raise ModelError(f"the device {str(device)!r} cannot be used here: {error}") from error
-
-
-def _insist_on_torch() -> None:
-    try:
-        import torch  # noqa: F401  # whether it can be
-    except ImportError as error:
-        raise MissingExtraError("running a model by torch", "torch") from error

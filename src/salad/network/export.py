@@ -25,7 +25,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor, nn
 
-from salad.errors import MissingExtraError, ModelError
+from salad.errors import ModelError, needs_extra
 from salad.network.config import PHOTOS, SETTINGS, Preprocessing
 from salad.network.network import Network, evaluating
 
@@ -62,11 +62,10 @@ def export_graph(network: Network, weights: Path, to: Path) -> None:
         MissingExtraError: If the exporter is not installed.
         ModelError: If the network cannot be exported.
     """
-    try:
+    with needs_extra("exporting a model", "torch"):
         import onnx_ir as ir
         import onnxscript  # noqa: F401  # the exporter's own library, which it would ask for in words of its own
-    except ImportError as error:
-        raise MissingExtraError("exporting a model", "torch") from error
+
     size = network.config.preprocessing
     # Two photos: with one, the exporter may take the batch for a constant.
     example = torch.zeros(2, size.height, size.width, 3, dtype=torch.uint8, device=network.device)

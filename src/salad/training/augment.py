@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salad.errors import MissingExtraError, ModelError
+from salad.errors import ModelError, needs_extra
 
 Photos = Float[Tensor, "batch 3 height width"]
 Augmentation = Literal["lite", "paper", "robust", "none"]
@@ -254,8 +254,6 @@ def _drawn(photos: Photos, low: float, high: float) -> Float[Tensor, "batch 1 1 
 
 
 def _kornia() -> Any:
-    try:
+    with needs_extra("training", "train"):
         from kornia import augmentation
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
     return augmentation

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from salad._version import __version__
-from salad.errors import MissingExtraError, ModelError
+from salad.errors import ModelError, needs_extra
 from salad.training.recipe import Precision
 
 _PACKAGES = ("lightning-fabric", "pytorch-metric-learning", "kornia", "numpy")  # that bear on the weights
@@ -34,11 +34,9 @@ def launch_fabric(accelerator: str, precision: Precision, *, devices: int = 1, n
         MissingExtraError: If the `train` extra is not installed.
         ModelError: If there is no such accelerator here, or not so many devices.
     """
-    try:
+    with needs_extra("training", "train"):
         from lightning_fabric import Fabric
         from lightning_fabric.strategies.ddp import DDPStrategy
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
     many = devices * nodes > 1
     try:
         # Buffers are alike in every process from the start; sending them along at each part would only tie

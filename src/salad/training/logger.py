@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from salad.datasets.training_place import View
-from salad.errors import MissingExtraError, TrainingError
+from salad.errors import TrainingError, needs_extra
 from salad.models.describer import Describer
 from salad.models.model_folder import write_folder
 from salad.training import checkpoint
@@ -150,9 +150,7 @@ def open_board(folder: Path, *, step: int) -> Any:
     Raises:
         MissingExtraError: If tensorboard is not installed.
     """
-    try:
+    with needs_extra("drawing curves for TensorBoard", "train"):
         from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise MissingExtraError("drawing curves for TensorBoard", "train") from error
     writer: Any = SummaryWriter
     return writer(str(folder / BOARD), purge_step=step + 1)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from salad.errors import MissingExtraError
+from salad.errors import needs_extra
 
 Objective = Callable[[Float[Tensor, "batch dim"], Int64[Tensor, " batch"]], Float[Tensor, ""]]
 """Descriptors and the place each shows -> loss."""
@@ -27,10 +27,8 @@ def multi_similarity(*, alpha: float = 1.0, beta: float = 50.0, base: float = 0.
     Raises:
         MissingExtraError: If pytorch-metric-learning is not installed.
     """
-    try:
+    with needs_extra("training", "train"):
         from pytorch_metric_learning import distances, losses, miners
-    except ImportError as error:
-        raise MissingExtraError("training", "train") from error
     loss = losses.MultiSimilarityLoss(alpha, beta, base, distance=distances.DotProductSimilarity())
     miner = miners.MultiSimilarityMiner(margin, distance=distances.CosineSimilarity())
 

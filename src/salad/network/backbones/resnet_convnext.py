@@ -16,7 +16,7 @@ from typing import Any, Self
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from salad.errors import MissingExtraError
+from salad.errors import needs_extra
 from salad.network.backbones.base import Backbone
 from salad.network.config import ConvNextConfig, ResNetConfig
 from salad.network.tokens import Tokens
@@ -167,7 +167,6 @@ def _own_name(key: str) -> str:
 
 
 def _transformers(what: str) -> Any:
-    try:  # by name: the thousands of types of that library are no business of the type checker
-        return import_module("transformers")
-    except ImportError as error:
-        raise MissingExtraError(what, "train") from error
+    with needs_extra(what, "train"):
+        library: Any = import_module("transformers")  # by name: its thousands of types are none of mypy's business
+    return library
