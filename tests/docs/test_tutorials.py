@@ -7,6 +7,6 @@ from collections.abc import Callable
 import pytest
 
 
-@pytest.mark.parametrize("name", ["mapper", "robotics", "sfm", "researcher"])
+@pytest.mark.parametrize("name", ["mapper", "robotics", "sfm", pytest.param("researcher", marks=pytest.mark.torch)])
 def test_a_tutorial_runs(name: str, pages: dict[str, str], follow: Callable[[str], int]) -> None:
     assert follow(pages[f"docs/tutorials/{name}.md"]) >= 6
