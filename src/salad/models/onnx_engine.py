@@ -82,6 +82,11 @@ class OnnxEngine:
         options.intra_op_num_threads = threads
         # A thread that spins while it waits takes the core from the worker that reads the next photo.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        weights = self._graph.with_name("model.safetensors")
+        if weights.is_symlink():
+            # The runtime reads no file that lies outside the graph's folder, and this one may; its bytes it takes.
+            held = weights.read_bytes()
+            options.add_external_initializers_from_files_in_memory([weights.name], [held], [len(held)])
         provider = _provider(self._device, onnxruntime.get_available_providers())
         try:
             session = onnxruntime.InferenceSession(self._graph, options, providers=[provider])
