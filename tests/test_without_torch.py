@@ -6,18 +6,21 @@ own suite in such processes too.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 import salad
 
 HIDES_TORCH = Path(__file__).with_name("without_torch")
+TOO_MUCH = {"torch", "onnx", "onnxscript", "kornia", "lightning_fabric", "transformers"}
 TRAIN = re.compile(r"needs the 'train' extra: pip install 'salad-vpr\[train\]'$")
 TORCH = re.compile(r"needs the 'torch' extra: pip install 'salad-vpr\[torch\]'$")
 
@@ -82,6 +85,49 @@ assert [answer.matches[0].photo.path for answer in answers] == paths
 assert all(answer.place is not None for answer in answers)
 """
     succeeds(code, tmp_path)
+
+
+def test_nothing_that_describes_photos_loads_it_where_it_is(tmp_path: Path) -> None:
+    """With the model that ships, and torch at hand; what the workers load is seen where it is hidden, in tests/cli."""
+    chance = np.random.default_rng(0)
+    for side in ("references", "queries"):
+        (tmp_path / side).mkdir()
+        for number in range(2):
+            pixels = chance.integers(0, 256, (6, 6, 3), dtype=np.uint8)
+            Image.fromarray(pixels).resize((96, 96)).save(tmp_path / side / f"{number}.png")
+    commands = [
+        "index references --to a.index",
+        "locate queries/0.png --index a.index --min-confidence 0 --format json",
+        "evaluate --references references --queries queries --frames 0",
+        "verify a.index",
+        "info a.index",
+        "export a.index --to out",
+        "index --from out --to b.index",
+        "merge a.index b.index",
+        "compact a.index",
+        "remove references/0.png --index a.index",
+        "datasets list",
+        "weights list",
+        "weights info salad-lite",
+    ]
+    code = """
+import json, sys
+from salad.cli.main import run
+for line in json.load(sys.stdin):
+    code = run(line.split())
+    assert code in (0, 1), line
+print("loaded:", *sys.modules)
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        input=json.dumps(commands),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert not TOO_MUCH & set(ran.stdout.partition("loaded:")[2].split())
 
 
 @pytest.mark.parametrize(
