@@ -13,7 +13,8 @@ import stat
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -41,6 +42,7 @@ MAX_SCANS = 100
 Pixels = NDArray[np.uint8]
 
 _FORMATS = ("JPEG", "MPO", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "JPEG2000", "AVIF")
+_PLUGINS = {"WEBP": "WebP", "JPEG2000": "Jpeg2K"}  # modules of Pillow that are not called after their format
 _COSTLY = ("WEBP", "JPEG2000")  # their decoders take 16 to 21 bytes a pixel, so half as many are opened
 _REDUCED = ("JPEG", "MPO")  # formats that can be decoded smaller; HEIC's own small picture is another picture
 _HEIC = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"})
@@ -222,8 +224,7 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
             raise PhotoError(f"{path} is HEIC: save it as JPEG, or install what reads it ({missing})") from error
     try:
         with quiet_pillow():
-            Image.init()
-            formats = [name for name in _FORMATS if name in Image.OPEN]  # a Pillow may be built without some
+            formats = _formats()
             # As pillow_heif's plugin would, but with nothing registered for others to stumble over.
             image = heif.HeifImageFile(file) if heif else Image.open(file, formats=formats)
     except Image.DecompressionBombError as error:
@@ -232,6 +233,15 @@ def open_image(path: Path, file: IO[bytes]) -> Image.Image:
         raise PhotoError(f"{path} has {found[0] if found else 'too many'} pixels, {_over(MAX_PIXELS)}") from error
     _check_size(path, image)
     return image
+
+
+@cache
+def _formats() -> list[str]:
+    """Those of `_FORMATS` that this Pillow was built with."""
+    for name in _FORMATS:  # by name: to load all of Pillow's formats takes longer than to decode a photo
+        with suppress(ImportError):
+            importlib.import_module(f"PIL.{_PLUGINS.get(name, name.title())}ImagePlugin")
+    return [name for name in _FORMATS if name in Image.OPEN]
 
 
 @contextmanager

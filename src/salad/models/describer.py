@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+import numpy.typing as npt
 from PIL import Image
 
 from salad.errors import ModelError, PhotoError
-from salad.images.decode import decode, squeeze
+from salad.images.decode import Pixels, decode, squeeze
 from salad.models.engines import Engine
 from salad.models.torch_engine import TorchEngine
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 if TYPE_CHECKING:
-    from salad.models.engines import Choice, Outputs, Weights
+    from salad.models.engines import Choice, Outputs, Photos, Weights
     from salad.models.torch_engine import Network
     from salad.network.config import Output
 
-PhotoLike = str | Path | Image.Image | UInt8[np.ndarray, "height width 3"]
+PhotoLike = str | Path | Image.Image | Pixels
 
 
 class DescriberLike(Protocol):
@@ -48,8 +48,8 @@ class DescriberLike(Protocol):
         """How photos are prepared."""
         ...
 
-    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> Float32[np.ndarray, "photos dim"]:
-        """One row of length 1 for each photo."""
+    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> npt.NDArray[np.float32]:
+        """One row of length 1 for each photo: `[photos, dim]`."""
         ...
 
 
@@ -57,12 +57,12 @@ class TokenAssignment(NamedTuple):
     """Where a photo's tokens went.
 
     Args:
-        dustbin: How much of each token the dustbin took, 0..1.
-        cluster: The cluster that took most of what was left of each token.
+        dustbin: How much of each token the dustbin took, 0..1: `[rows, columns]`.
+        cluster: The cluster that took most of what was left of each token: `[rows, columns]`.
     """
 
-    dustbin: Float32[np.ndarray, "rows columns"]
-    cluster: Int64[np.ndarray, "rows columns"]
+    dustbin: npt.NDArray[np.float32]
+    cluster: npt.NDArray[np.int64]
 
 
 class Describer:
@@ -140,11 +140,11 @@ class Describer:
         """The weights it runs with, under the names they have on disk."""
         return self.engine.weights()
 
-    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> Float32[np.ndarray, "photos dim"]:
+    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> npt.NDArray[np.float32]:
         """Describe photos given as paths, Pillow images or arrays of bytes [height, width, 3].
 
         Returns:
-            One row of length 1 for each photo.
+            One row of length 1 for each photo: `[photos, dim]`.
 
         Raises:
             PhotoError: If a path cannot be read, and the message names it; or an array is no photo.
@@ -160,7 +160,7 @@ class Describer:
             rows[start : start + len(images)] = self.engine.run(images)["descriptor"]
         return rows
 
-    def squeezed(self, photos: Sequence[PhotoLike]) -> UInt8[np.ndarray, "photos height width 3"]:
+    def squeezed(self, photos: Sequence[PhotoLike]) -> Photos:
         """Photos as the engine takes them: squeezed, never cropped, to the model's size.
 
         Raises:
@@ -205,7 +205,7 @@ class Describer:
         return self.token_assignment(photo)
 
 
-def squeezed(photo: PhotoLike, to: Preprocessing) -> UInt8[np.ndarray, "height width 3"]:
+def squeezed(photo: PhotoLike, to: Preprocessing) -> Pixels:
     """One photo as bytes of the size that `to` says; an array of that size already is taken as it is.
 
     Raises:

@@ -17,17 +17,19 @@ from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+import numpy.typing as npt
 
 from salad.errors import ModelError
 from salad.network.config import Output
 
 Weights = Mapping[str, Any]
 """Arrays under the names they have in `model.safetensors`."""
-Photos = UInt8[np.ndarray, "batch height width 3"]
+Photos = npt.NDArray[np.uint8]
+"""RGB `[batch, height, width, 3]`."""
 EngineName = Literal["auto", "onnx", "torch"]
 """What a user may ask for."""
-Outputs = dict[Output, Float32[np.ndarray, "batch ..."]]
+Outputs = dict[Output, npt.NDArray[np.float32]]
+"""Arrays whose first axis is the batch's."""
 
 
 class Engine(Protocol):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float32
+import numpy.typing as npt
 from PIL import Image
 
 from salad.errors import ModelError
@@ -109,7 +109,7 @@ class FakeDescriber:
         # With a prefix, so that no index of a fake is ever taken for one of a model's.
         return "fake-" + hashlib.blake2b(repr(settings).encode(), digest_size=8).hexdigest()
 
-    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> Float32[np.ndarray, "photos dim"]:
+    def describe(self, photos: Sequence[PhotoLike], *, batch_size: int = 16) -> npt.NDArray[np.float32]:
         """One row of length 1 for each photo.
 
         Raises:
