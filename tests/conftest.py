@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def _has_torch() -> bool:
 def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
     """Skip a file that imports torch itself; `test_without_torch.py` holds that little of the package does."""
     report = yield
-    if report.failed and not _has_torch() and "No module named 'torch" in str(report.longrepr):
+    if report.failed and not _has_torch() and re.search("No module named '(torch|onnx)", str(report.longrepr)):
         report.outcome, report.longrepr = "skipped", (str(report.nodeid), 0, f"Skipped: {WHY}")
     return report
 

@@ -28,7 +28,7 @@ from salad.models import hub
 from salad.models.describer import Describer, PhotoLike, squeezed
 from salad.models.engines import Engine, EngineName, Weights, choose
 from salad.models.onnx_engine import OnnxEngine
-from salad.models.torch_engine import TorchEngine, published_network, write_graph
+from salad.models.torch_engine import TorchEngine, check_published, published_network, write_graph
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 WEIGHTS, CONFIG, GRAPH = "model.safetensors", "config.json", "graph.onnx"
@@ -86,7 +86,10 @@ def load(
             raise WeightsError(
                 f"there is no model {str(spec)!r}: give a file, a folder, or one of {', '.join(hub.ZOO)}"
             )
-        path, name = hub.fetch(str(spec)), str(spec)
+        name = str(spec)
+        if hub.entry(name).layout != "own":
+            check_published()
+        path = hub.fetch(name)
     if path.is_dir():
         return read_folder(path, device=device, engine=engine, threads=threads)
     if engine not in ("auto", "torch"):

@@ -134,10 +134,20 @@ def published_network(path: Path, *, heads: int | None, name: str | None, device
         WeightsError: If the file is of no layout known, or lacks or adds a tensor.
         ModelError: If the device cannot be used.
     """
-    with needs_extra("reading a published file of weights", "torch"):
-        from salad.network.checkpoints import read_published
+    check_published()
+    from salad.network.checkpoints import read_published
 
     return _moved(read_published(path, heads=heads, name=name), device)
+
+
+def check_published() -> None:
+    """Make sure that published files can be read here, before somebody fetches one.
+
+    Raises:
+        MissingExtraError: If torch is not installed.
+    """
+    with needs_extra("reading a published file of weights", "torch"):
+        import torch  # noqa: F401  # whether it can be
 
 
 def write_graph(network: Network, weights: Path, to: Path, photos: Sequence[np.ndarray] = ()) -> None:
