@@ -15,6 +15,7 @@ from salad.geo import GeoPoint
 from salad.index.vectors import FileRows
 from salad.search.base import LONGEST_UNIT, ArrayRows, Hits, Searcher
 from salad.search.brute_force import BruteForceSearcher
+from salad.search.compressed import CompressedSearcher
 from salad.search.exact import ExactSearcher
 from salad.search.filters import Filter
 
@@ -55,6 +56,11 @@ SEARCHERS: dict[str, Make] = {
     "exact, a file of float16": lambda rows: ExactSearcher(_in_a_file(rows)),
     "exact, a file of float64": lambda rows: ExactSearcher(_of_another_tool(rows)),
     "exact, in threads": lambda rows: ExactSearcher(_half(rows), threads=3),
+    # As many bytes as there are numbers: such codes lose next to nothing, and so must the searcher.
+    "compressed": lambda rows: CompressedSearcher.of(_half(rows), candidates=40),
+    "compressed, float32": lambda rows: CompressedSearcher.of(_single(rows), candidates=40),
+    "compressed, any length": lambda rows: CompressedSearcher.of(_of_any_length(rows), candidates=40),
+    "compressed, a file of float16": lambda rows: CompressedSearcher.of(_in_a_file(rows), candidates=40),
 }
 
 

@@ -366,12 +366,12 @@ def test_many_queries_of_many_rows_are_rounded_more_where_that_is_quicker(
 
 def test_threads_are_as_many_as_processors_unless_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exact, "os", SimpleNamespace(environ={}, cpu_count=lambda: 3))
-    assert exact._processors() == 3
+    assert exact.processors() == 3
     monkeypatch.setattr(exact, "os", SimpleNamespace(environ={}, sched_getaffinity=lambda _: {0, 5}))
-    assert exact._processors() == 2
+    assert exact.processors() == 2
     for told, count in (("7", 7), ("0", 2), ("4,2", 2)):
         monkeypatch.setattr(exact.os, "environ", {"OMP_NUM_THREADS": told})
-        assert exact._processors() == count
+        assert exact.processors() == count
 
 
 @pytest.mark.parametrize("first", [1e18, 1e-30])

@@ -167,6 +167,10 @@ class Database:
         with self.reading():
             return self._db.execute(sql, parameters).fetchall()
 
+    def change(self, sql: str, parameters: Sequence[Any] = ()) -> int:
+        """Run a statement of a change that somebody else began; the number of the row it inserted last."""
+        return self._db.execute(sql, parameters).lastrowid or 0
+
     def shrink(self) -> None:
         """Give the room of deleted rows back to the disk; outside of a change."""
         with self._lock, self._explaining():

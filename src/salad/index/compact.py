@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from salad.errors import StoreError
-from salad.index import index_folder, verify
+from salad.index import codes, index_folder, verify
 from salad.index.catalog import UNKNOWN, Catalog, Committed
 from salad.index.vectors import FileRows, sums
 
@@ -55,6 +55,7 @@ def compact(folder: Path, catalog: Catalog, *, dim: int) -> Compacted:
         # Under the lock again: a compaction that has begun since is writing a file nobody names yet.
         with suppress(StoreError), catalog.writing():
             _sweep(folder, keep=catalog.committed().matrix)
+            codes.sweep(catalog)
     with suppress(StoreError):  # no room, or somebody reads: the next one will do it
         catalog.shrink()
     return Compacted(kept, max(0, before - index_folder.size(folder)), damaged)
@@ -90,6 +91,7 @@ def _rewrite(folder: Path, catalog: Catalog, last: Committed, dim: int) -> tuple
     kept = np.concatenate(rows)
     damaged = [photo.path for photo, _ in catalog.at_rows(np.setdiff1d(live, kept)).values()]
     catalog.renumber(kept, np.concatenate(checksums))
+    codes.carry(catalog, kept, old=last.matrix, new=path.name, generation=last.generation + 1, dim=dim)
     catalog.commit_rows(len(kept), matrix=path.name)
     return len(kept), damaged
 

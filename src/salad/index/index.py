@@ -21,13 +21,17 @@ from salad.errors import StoreError, WrongModelError
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder, verify
 from salad.index.catalog import CATALOG_FILE, Catalog, Committed
+from salad.index.code_table import CodeTable
+from salad.index.codes import CodeFile, extend, newest
 from salad.index.compact import Compacted, compact
+from salad.index.compress import Compressed, Progress, compress, is_due, take_away
 from salad.index.contents import Page, listed, pages
 from salad.index.filter_sql import allowed
 from salad.index.index_folder import Header
 from salad.index.vectors import FileRows, Snapshot, append, storable, sums
 from salad.index.verify import ChecksumVerifier, IndexInfo
 from salad.search.base import Mask, Queries, Searcher, SearcherFactory
+from salad.search.compressed import CompressedSearcher
 from salad.search.exact import ExactSearcher
 from salad.search.filters import Filter
 from salad.search.hubness import Centred, Mean, mean_of_some
@@ -37,6 +41,9 @@ if TYPE_CHECKING:
 
 
 Floats = npt.NDArray[np.floating]
+
+CODES_FROM = 20_000
+"""Photos from which on codes are asked; fewer are searched exactly in no more time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,7 @@ class Index:
         header: Header,
         catalog: Catalog,
         *,
-        searcher: SearcherFactory = ExactSearcher,
+        searcher: SearcherFactory | None = None,
     ) -> None:
         self.folder = folder
         self.header = header
@@ -76,6 +83,8 @@ class Index:
         self._searcher = searcher
         # What threads share is swapped whole: whoever comes late works out the same once more, and no harm is done.
         self._last: tuple[Snapshot, ChecksumVerifier, Searcher] | None = None
+        self._codes: CodeFile | None = None
+        self._unusable: list[str] = []  # a sentence for each file of codes that cannot be used
         self._middle: tuple[int, Mean] | None = None  # the mean descriptor, of which generation
 
     @classmethod
@@ -97,7 +106,7 @@ class Index:
         return cls.open(index_folder.make(Path(os.path.realpath(folder)), header))
 
     @classmethod
-    def open(cls, folder: str | Path, *, wait: float = 10.0, searcher: SearcherFactory = ExactSearcher) -> Index:
+    def open(cls, folder: str | Path, *, wait: float = 10.0, searcher: SearcherFactory | None = None) -> Index:
         """Open the index in `folder`; a folder that cannot be written can still be searched.
 
         Where the file of descriptors is cut short, the photos it lost are not found; `verify` names them.
@@ -105,7 +114,8 @@ class Index:
         Args:
             folder: Where.
             wait: Seconds a change waits for another writer before it gives up.
-            searcher: What searches the rows of a commit; made anew for each.
+            searcher: What searches the rows of a commit; made anew for each. Where not given, the index's codes
+                (`compress`) if it has some and is large, else `ExactSearcher`, which may be given to force it.
 
         Raises:
             StoreError: If it is no index, a newer salad wrote it, or it is damaged.
@@ -182,6 +192,7 @@ class Index:
                 # Behind all others, and onto the disk, before the commit below says that they count.
                 chosen = rows if len(fresh) == len(rows) else rows[fresh]
                 append(self.folder / last.matrix, chosen, at=last.rows)
+                extend(self._catalog, chosen, matrix=last.matrix, at=last.rows)
                 new, names = [placed[n] for n in fresh], [contents[n] for n in fresh]
                 self._catalog.insert(new, names, sums(chosen), row=last.rows)
             # All others, those that come a second time in this call too: what they know of a photo is added to it.
@@ -237,6 +248,40 @@ class Index:
         """
         return compact(self.folder, self._catalog, dim=self.dim)
 
+    def compress(self, size: int | None = None, *, progress: Progress | None = None) -> Compressed:
+        """Give all photos codes, by which a large index is searched in a fraction of the time and of the memory.
+
+        From then on additions, removals and compactions keep them up to date; `compress` again fits them anew where
+        the index has outgrown them, and mends what is damaged. Others may search and write meanwhile.
+
+        Args:
+            size: Bytes of a code; as many as before where not given, else 256.
+            progress: Called with (rows that have codes, rows).
+
+        Raises:
+            StoreError: If another program is writing, the disk is full, or the file of descriptors is cut short; what
+                was done so far is gone on with next time.
+        """
+        if size is not None and size < 1:
+            raise StoreError(f"codes of {size} bytes cannot be: give 1 or more")
+        return compress(self._catalog, self._snapshot, dim=self.dim, size=size, progress=progress)
+
+    def wants_codes(self) -> bool:
+        """Whether `compress` has something to do: the index grew large, or out of its codes, or they are cut short.
+
+        Never where `drop_codes` was called last.
+        """
+        return is_due(self._catalog, self._snapshot, dim=self.dim)
+
+    def drop_codes(self) -> None:
+        """Take the codes away; none are made until `compress` is called."""
+        take_away(self._catalog)
+
+    @property
+    def noticed(self) -> list[str]:
+        """What was wrong with the codes and is searched exactly instead, a sentence each."""
+        return [*self._unusable, *(self._codes.noticed if self._codes else [])]
+
     def known(self, identities: Sequence[str]) -> set[str]:
         """Which of these contents the index holds."""
         with self._catalog.reading():
@@ -257,7 +302,8 @@ class Index:
     ) -> list[list[Match]]:
         """The best k matches of each query: exact, best first, ties in order of row.
 
-        A photo whose descriptor is damaged is not among them.
+        A photo whose descriptor is damaged is not among them. A large index that has codes is asked by them: scores
+        are the same, and of a hundred matches less than one is another (docs/compressed-search.md).
 
         Args:
             descriptors: `[Q, dim]`, or `[dim]` for one query.
@@ -377,8 +423,20 @@ class Index:
                 alive[self._catalog.dead_rows()] = False
                 alive[rows.held :] = False  # lost with the end of the file; the others can still be found
                 seen = Snapshot(last.generation, rows, alive)
-                self._last = seen, ChecksumVerifier(seen), self._searcher(rows)
+                self._last = seen, ChecksumVerifier(seen), self._searcher_of(rows)
             return self._last
+
+    def _searcher_of(self, rows: FileRows) -> Searcher:
+        """What searches the rows of a commit, inside of a look at it."""
+        if self._searcher is not None:
+            return self._searcher(rows)
+        # Always looked for: what is wrong with codes is told where they are not used, too.
+        self._codes, self._unusable = newest(
+            CodeTable(self._catalog), matrix=rows.path.name, dim=self.dim, before=self._codes
+        )
+        if self._codes is None or len(rows) < CODES_FROM:
+            return ExactSearcher(rows)
+        return CompressedSearcher(rows, self._codes)
 
     def _mean(self, seen: Snapshot) -> Mean:
         """Of what this commit holds; worked out once."""

@@ -267,23 +267,24 @@ def sums(rows: Half) -> list[int]:
     return [zlib.crc32(row) for row in np.ascontiguousarray(rows, dtype=STORED)]
 
 
-def append(path: Path, rows: Half, *, at: int) -> None:
+def append(path: Path, rows: Half | npt.NDArray[np.int8], *, at: int) -> None:
     """Write `rows` behind the `at` rows that count, and see them onto the disk.
 
     Args:
-        path: The matrix file.
-        rows: `[N, dim]` float16.
+        path: The matrix file, or one of codes.
+        rows: `[N, dim]` float16, or `[N, bytes]` of codes.
         at: Rows that are already committed; whatever lies behind them is written over.
 
     Raises:
         StoreError: If the disk is full or the file cannot be written; what was committed is untouched.
     """
-    start = at * rows.shape[1] * STORED.itemsize
+    stored = np.ascontiguousarray(rows, dtype=rows.dtype.newbyteorder("<"))
+    start = at * stored.shape[1] * stored.itemsize
     try:
         with path.open("r+b") as file:
             try:
                 file.seek(start)
-                file.write(np.ascontiguousarray(rows, dtype=STORED).data)
+                file.write(stored.data)
                 file.flush()
                 os.fsync(file.fileno())
             except OSError:

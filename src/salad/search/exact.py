@@ -107,7 +107,7 @@ class ExactSearcher:
 
     def __init__(self, rows: Rows, *, threads: int | None = None) -> None:
         self._rows = rows
-        self._threads = threads or _processors()
+        self._threads = threads or processors()
 
     @property
     def dim(self) -> int:
@@ -131,7 +131,7 @@ class ExactSearcher:
         k = min(k, len(self))
         if not k or not len(asked):
             return Hits.none(len(asked), k)
-        found = [hits for some in _pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, mask)]
+        found = [hits for some in pieces(asked, _TOGETHER // self.dim) for hits in self._search(some, k, mask)]
         return Hits(np.concatenate([hits.rows for hits in found]), np.concatenate([hits.scores for hits in found]))
 
     def _search(self, queries: Queries, k: int, allowed: Mask | None) -> list[Hits]:
@@ -139,7 +139,7 @@ class ExactSearcher:
         many = len(self) >= _MANY_ROWS and len(queries) >= _MANY_QUERIES and k <= _FEW
         quick = many and any(numkong.get_capabilities().get(name) for name in _BFLOAT16)
         kernel = _COARSE if quick else _HALF
-        batches = [_Batch(some, _Candidates(self._rows, some, k), kernel) for some in _pieces(queries, _BATCH)]
+        batches = [_Batch(some, _Candidates(self._rows, some, k), kernel) for some in pieces(queries, _BATCH)]
         threads = max(1, min(self._threads, len(self) * self.dim * len(queries) // _WORK))
         # Four blocks a thread at least, so that a slow one does not keep the others waiting.
         size = max(1, min(_BLOCK // self.dim, -(-len(self) // (4 * threads))))
@@ -175,12 +175,13 @@ class ExactSearcher:
             return list(each(lambda batch: batch.candidates.hits(), batches))
 
 
-def _pieces(queries: Queries, most: int) -> list[Queries]:
+def pieces(queries: Queries, most: int) -> list[Queries]:
     """Queries some at a time, about as many each time."""
     return np.array_split(queries, -(-len(queries) // max(1, most)))
 
 
-def _processors() -> int:
+def processors() -> int:
+    """How many threads a search takes where nobody says."""
     # The variable is OpenMP's, whose threads these are not; but it is what people set to say how many they want.
     asked = os.environ.get("OMP_NUM_THREADS", "")
     if asked.isdecimal() and int(asked):
@@ -245,7 +246,7 @@ class _Reader:
 
 def _longest(block: Block, start: int) -> float:
     """The length of the longest row, or a little more."""
-    wide = _widened(block)
+    wide = widened(block)
     with np.errstate(over="ignore", invalid="ignore"):  # it shows below
         squares = np.einsum("ij,ij->i", wide, wide)
     bad = np.flatnonzero(~np.isfinite(squares))
@@ -256,7 +257,7 @@ def _longest(block: Block, start: int) -> float:
     return found * (1 + _HALF.gamma(block.shape[1])) + 2.0**-74 * float(np.sqrt(block.shape[1]))
 
 
-def _widened(block: Block) -> Single:
+def widened(block: Block) -> Single:
     """A block as float32, of which numpy takes its time too."""
     if block.dtype == np.float32 or not block.size:
         return block.astype(np.float32, copy=False)
@@ -393,7 +394,7 @@ class _Candidates:
         for start in range(0, len(open_), step):
             some = open_[start : start + step]
             # Each pair by itself: a sum over a row takes no notice of the rows beside it, a matrix product would.
-            wide = _widened(self._rows.take(pairs.row[some])).astype(np.float64)
+            wide = widened(self._rows.take(pairs.row[some])).astype(np.float64)
             wide *= self._queries[pairs.query[some]]
             exact[some] = wide.sum(axis=1)
         order = np.lexsort((pairs.row, -exact, pairs.query))
