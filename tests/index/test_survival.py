@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,10 @@ from hypothesis import strategies as st
 
 from salad.errors import SaladError, StoreError
 from salad.images.photo import Photo
+from salad.index import compress
 from salad.index.catalog import Catalog
 from salad.index.index import Index
+from salad.search import compressed
 from salad.search.base import Hits
 from salad.search.exact import ExactSearcher
 
@@ -50,6 +53,8 @@ def apply(index: Index, step: dict[str, Any]) -> None:
         index.add(photos, descriptors(contents), identities=contents)
     elif step["do"] == "remove":
         index.remove([HOME / step["what"]])
+    elif step["do"] == "compress":
+        index.compress(step["what"])
     else:
         index.compact()
 
@@ -77,8 +82,10 @@ def contents_of(index: Index) -> Held:
     return held
 
 
-def random_step(rng: random.Random) -> dict[str, Any]:
-    do = rng.choices(["add", "remove", "compact"], [4, 2, 2])[0]
+def random_step(rng: random.Random, *, codes: bool = False) -> dict[str, Any]:
+    do = rng.choices(["add", "remove", "compact", "compress"], [4, 2, 2, 6 if codes else 0])[0]
+    if do == "compress":
+        return {"do": do, "what": rng.choice([63, 64])}  # bytes: of DIM numbers next to nothing is lost
     if do == "add":
         contents = rng.sample(range(400), rng.randint(1, 60))
         return {"do": do, "what": [[f"{n % 5}/{rng.randint(0, 99)}", str(n)] for n in contents]}
@@ -100,8 +107,10 @@ def work(job: dict[str, Any]) -> None:
             with index._catalog.writing():
                 os.write(log, b"held\n")
                 time.sleep(600)
+        if job["do"] == "compress":  # many stages and blocks, so that a kill comes between some
+            compress._STAGE, compressed.BLOCK = 16, 16 * 64
         while True:
-            step = random_step(rng)
+            step = random_step(rng, codes=job["do"] == "compress")
             os.write(log, json.dumps(step).encode() + b"\n")
             apply(index, step)
             os.write(log, b"done\n")
@@ -233,6 +242,48 @@ def test_a_killed_process_leaves_exactly_what_was_committed(tmp_path: Path, vict
         assert contents_of(index) == held
         kept = {"index.json", "photos.sqlite", index._snapshot().rows.path.name}
     assert {file.name for file in folder.iterdir()} == kept
+
+
+def outlived_with_codes(tmp_path: Path, victims: Victims, kills: int) -> None:
+    """An index that is compressed and changed is killed so many times, and loses nothing, codes and answers neither."""
+    folder, rng = tmp_path / "city.index", random.Random(21)
+    create(folder).close()
+    held: Held = {}
+    in_the_midst = {"add": 0, "compress": 0}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(compressed, "BLOCK", 16 * 64)
+        patched.setattr(compressed, "_SPARE", 2)
+        patched.setattr("salad.index.index.CODES_FROM", 0)
+        patched.setattr("salad.index.index.CompressedSearcher", partial(compressed.CompressedSearcher, candidates=30))
+        for number in range(kills):
+            worker = victims.begin("compress", folder, seed=1000 + number, steps=rng.randint(0, 5))
+            time.sleep(rng.uniform(0, 0.03))
+            *steps, last = victims.kill(worker)
+            for line in steps:
+                held = held if line == "done" else applied(held, json.loads(line))
+            perhaps = held
+            if last != "done" and last.endswith("}"):
+                perhaps, step = applied(held, json.loads(last)), json.loads(last)
+                in_the_midst[step["do"]] = in_the_midst.get(step["do"], 0) + 1
+            with Index.open(folder) as index, Index.open(folder, searcher=ExactSearcher) as exact:
+                now = contents_of(index)
+                assert now in (held, perhaps), f"kill {number} (whole or not at all): {last}"
+                assert index.verify() == []
+                queries = descriptors([str(content) for content in range(0, 400, 9)])
+                assert index.search(queries, k=4) == exact.search(queries, k=4)
+                assert index.noticed == []
+            held = now
+        with Index.open(folder) as index:
+            index.compress()
+            assert index.info().coded == index._snapshot().rows.rows
+            assert index.verify() == []
+        assert len(list(folder.glob("codes-*"))) == 1
+    assert in_the_midst["compress"] > kills / 8
+    assert in_the_midst["add"] > 0
+
+
+def test_a_killed_process_leaves_codes_that_are_right(tmp_path: Path, victims: Victims) -> None:
+    outlived_with_codes(tmp_path, victims, 12)
 
 
 def test_a_lock_lasts_as_long_as_its_process(index: Index, victims: Victims) -> None:

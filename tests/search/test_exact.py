@@ -6,7 +6,6 @@ import pickle
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
@@ -362,16 +361,6 @@ def test_many_queries_of_many_rows_are_rounded_more_where_that_is_quicker(
     for queries, k in ((16, 32), (15, 32), (16, 33)):
         agree(rows, unit(rng, queries, 8), k=k)
     assert kernels == ["bfloat16" if any(has.values()) else "float16", "float16", "float16"]
-
-
-def test_threads_are_as_many_as_processors_unless_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exact, "os", SimpleNamespace(environ={}, cpu_count=lambda: 3))
-    assert exact.processors() == 3
-    monkeypatch.setattr(exact, "os", SimpleNamespace(environ={}, sched_getaffinity=lambda _: {0, 5}))
-    assert exact.processors() == 2
-    for told, count in (("7", 7), ("0", 2), ("4,2", 2)):
-        monkeypatch.setattr(exact.os, "environ", {"OMP_NUM_THREADS": told})
-        assert exact.processors() == count
 
 
 @pytest.mark.parametrize("first", [1e18, 1e-30])

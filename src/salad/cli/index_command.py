@@ -25,6 +25,7 @@ from salad.cli.arguments import (
     positive,
     read_positions,
 )
+from salad.cli.compress_command import keep_compressed
 from salad.errors import SaladError
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ class IndexCommand:
         with open_or_create(self.to, model) as index:
             done = self._describe(paths, index, model, table)
             gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])
+            keep_compressed(index)
             held, placed = len(index), index.info().with_position
         # After the bar, which lines in between would tear apart.
         for sentence in (*done.twins, *done.unreadable, *gone):
@@ -123,6 +125,7 @@ class IndexCommand:
         try:
             with Index.open(self.to) as index:
                 added, held = take(index, folder, model=self.model), len(index)
+                keep_compressed(index)
         except SaladError:
             # Only what this command made is taken away, and only while it is empty.
             with Index.open(self.to) as index:

@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from salad.cli import terminal
 from salad.cli.arguments import Format, IndexFolder, Photos
+from salad.cli.compress_command import keep_compressed
 from salad.errors import PhotoError, StoreError
 
 Others = Annotated[
@@ -159,6 +160,7 @@ class MergeCommand:
                     terminal.say(f"{path} was left out of {folder}: {self.index} has another photo at that path")
                 _say_damaged(done.damaged)
                 terminal.say(f"{folder}: {done.added} photos added, {done.held} there already")
+            keep_compressed(into)
             terminal.say(f"{self.index}: it holds {len(into)} photos")
         return terminal.FOUND
 
@@ -175,5 +177,9 @@ def _with_units(name: str, value: Any) -> tuple[str, Any]:
         "span_km": "km from south to north, west to east",
         "bytes": "MB",
         "bytes_of_descriptors": "MB of descriptors",
+        "bytes_of_codes": "MB of codes",
+        "code_bytes": "bytes of codes a photo",
+        "coded": "photos with codes",
+        "codes_fitted_on": "photos when codes were fitted",
     }
     return names.get(name, name), round(value / _MEGA, 3) if name.startswith("bytes") else value

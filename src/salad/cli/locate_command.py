@@ -115,6 +115,8 @@ class LocateCommand:
     """A place less sure than this is unknown; by default the model's own limit."""
     radius: Annotated[float, arg(metavar="METRES")] = 25.0
     """How far apart matches may be and still mean one place."""
+    exact: bool = False
+    """Compare with every photo itself, even where the index has codes."""
     only: FilterOptions = field(default_factory=FilterOptions)
     write_exif: Folder = None
     """Put a copy of each JPEG that was located into this folder, its position in the copy's EXIF."""
@@ -157,15 +159,19 @@ class LocateCommand:
         return terminal.NOTHING if answers else terminal.BAD_INPUT
 
     def _locate(self, paths: list[Path]) -> tuple[list[Answer], list[str]]:
-        """An answer for each photo that can be read, a sentence for each other."""
+        """An answer for each photo that can be read; a sentence for each other, and for codes that cannot be used."""
         from salad.index.index import Index
         from salad.localize.locate import locate_many
         from salad.models.model_folder import load
+        from salad.search.exact import ExactSearcher
 
         where = self.only.filter()
         answers: list[Answer] = []
         unreadable: list[str] = []
-        with Index.open(self.index) as index, terminal.progress("locating") as bar:
+        with (
+            Index.open(self.index, searcher=ExactSearcher if self.exact else None) as index,
+            terminal.progress("locating") as bar,
+        ):
             model = load(self.model or model_name_for(self.index), device=self.device)
             bar(0, len(paths))
             for answer in locate_many(
@@ -180,7 +186,7 @@ class LocateCommand:
             ):
                 answers.append(answer)
                 bar(len(answers) + len(unreadable), len(paths))
-        return answers, unreadable
+            return answers, unreadable + index.noticed
 
 
 # What is written to stdout, by --format; maps have a file of their own.

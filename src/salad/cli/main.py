@@ -22,6 +22,7 @@ COMMANDS = {  # in the order of `salad --help`: the file in `salad.cli` and the 
     "verify": "index_maintenance:VerifyCommand",
     "remove": "index_maintenance:RemoveCommand",
     "compact": "index_maintenance:CompactCommand",
+    "compress": "compress_command:CompressCommand",
     "export": "index_maintenance:ExportCommand",
     "merge": "index_maintenance:MergeCommand",
     "evaluate": "evaluate_command:EvaluateCommand",
@@ -53,7 +54,8 @@ def run(arguments: Sequence[str]) -> int:
         return terminal.BAD_INPUT
     except KeyboardInterrupt:
         terminal.say(
-            "salad: interrupted; index, train, compare and weights fetch go on where they stopped when run again"
+            "salad: interrupted; index, compress, train, compare and weights fetch go on where they stopped when run "
+            "again"
         )
         return terminal.INTERRUPTED
     except BrokenPipeError:  # whoever read our output has seen enough: `salad locate ... | head`

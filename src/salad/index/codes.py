@@ -63,10 +63,10 @@ class CodeFile:
         weakref.finalize(self, self._file.close)
         self._lock = threading.Lock()
         if before is not None and before.path == self.path:
-            same = {
-                number: noted for number, noted in before._good.items() if codes.sums[number : number + 1] == (noted,)
-            }
-            self._sweeps, self._good = before._sweeps, same
+            # Blocks that have not grown since.
+            same = {number for number, noted in before._good.items() if codes.sums[number : number + 1] == (noted,)}
+            self._sweeps = before._sweeps
+            self._good = {number: codes.sums[number] for number in same}
             self._kept = {number: block for number, block in before._kept.items() if number in same}
         held = os.fstat(self._file.fileno()).st_size // codes.size
         if held < codes.rows:
@@ -149,12 +149,13 @@ def newest(
     """The codes of most rows that can be used; and a sentence for each file that cannot."""
     said: list[str] = []
     for each in table.sets():
+        if each.matrix != matrix:  # an older salad compacted the index, and knew nothing of codes
+            gone = f"{table.folder / each.file} holds codes of {each.matrix}, which is no more"
+            said.append(f"{gone}: {way_out(table.folder)}")
+            continue
         try:
-            if each.matrix != matrix:  # an older salad compacted the index, and knew nothing of codes
-                raise StoreError(f"{table.folder / each.file} holds codes of {each.matrix}, which is no more: "
-                                 f"{way_out(table.folder)}")  # fmt: skip
-            same = before is not None and before.codes.coding == each.coding and before.codes.file == each.file
-            coding = before.coding if before is not None and same else table.coding(each, dim=dim)
+            known = before is not None and (before.codes.file, before.codes.coding) == (each.file, each.coding)
+            coding = before.coding if before is not None and known else table.coding(each, dim=dim)
             return CodeFile(table.folder, each, coding, before=before), said
         except StoreError as error:
             said.append(str(error))

@@ -82,20 +82,22 @@ def compress(
         with catalog.reading():
             seen = look()
             fit = _serving(table, seen, min(size, dim))
+            # In the same look: another may take these codes away at any time.
+            coding = None if fit is None else table.coding(fit, dim=dim)
         rows = seen.rows
         if rows.held < rows.rows:
             raise StoreError(
                 f"{rows.path} is truncated (it holds {rows.held} descriptors, {rows.rows} were committed), so no codes "
                 f"were made: restore it, or run 'salad compact {table.folder}'"
             )
-        if fit is None:
+        if fit is None or coding is None:
             _begin(catalog, table, seen, size)
             fitted = True
             continue
         if progress is not None:
             progress(fit.rows, rows.rows)
         if fit.rows < rows.rows:
-            written += _go_on(catalog, table, seen, fit)
+            written += _go_on(catalog, table, seen, fit, coding)
         elif _finish(catalog, table, fit):
             return Compressed(fit.size, fit.rows, fitted, written)
 
@@ -166,11 +168,9 @@ def _begin(catalog: Catalog, table: CodeTable, seen: Snapshot, size: int) -> Non
             _commit(catalog)
 
 
-def _go_on(catalog: Catalog, table: CodeTable, seen: Snapshot, fit: CodeSet) -> int:
+def _go_on(catalog: Catalog, table: CodeTable, seen: Snapshot, fit: CodeSet, coding: Coding) -> int:
     """Code the next rows and write them down; how many."""
     start, stop = fit.rows, min(fit.rows + _STAGE, seen.rows.rows)
-    with catalog.reading():
-        coding = table.coding(fit, dim=seen.rows.dim)
     step = max(1, _STEP // seen.rows.dim)
     spare: Half = np.empty((min(step, stop - start), seen.rows.dim), np.float16)
     parts = [coding.encode(seen.rows.block(low, min(low + step, stop), spare)) for low in range(start, stop, step)]

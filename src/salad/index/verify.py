@@ -14,11 +14,14 @@ import numpy.typing as npt
 
 from salad.errors import StoreError
 from salad.geo import metres
+from salad.index import codes as code_files
 from salad.index import index_folder, vectors
 from salad.index.catalog import PHOTO, UNKNOWN, Catalog, row_trouble
+from salad.index.code_table import CodeTable, way_out
 from salad.index.index_folder import Header
 from salad.index.vectors import FileRows, Half, Snapshot
 from salad.search.base import UNIT_TOLERANCE, Mask, Numbers
+from salad.search.compressed import Bytes
 from salad.search.filters import Box
 
 _ROUNDING = 1e-3  # what float16 may take from a length, and add to it: half of 2^-10
@@ -41,6 +44,10 @@ class IndexInfo:
         dim: Numbers in a descriptor.
         bytes: Size of the folder on disk.
         bytes_of_descriptors: How much of that are descriptors.
+        bytes_of_codes: How much of that are codes.
+        code_bytes: Bytes of codes a photo; None where it has no codes.
+        coded: Photos that have codes, removed ones too.
+        codes_fitted_on: Photos that the index held when the codes were fitted; None where it has none.
         created: When the index was made, UTC.
         box: South, west, north, east of all positions in degrees; west > east where it crosses the date line.
         span_km: How far that box reaches from south to north and, along its middle, from west to east.
@@ -59,6 +66,10 @@ class IndexInfo:
     dim: int
     bytes: int
     bytes_of_descriptors: int
+    bytes_of_codes: int
+    code_bytes: int | None
+    coded: int
+    codes_fitted_on: int | None
     created: datetime
     box: Box | None
     span_km: tuple[float, float] | None
@@ -75,6 +86,7 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
     """What the index in `folder` holds, in numbers."""
     with catalog.reading():  # one look, so that the numbers belong together
         last, positions = catalog.committed(), catalog.positions()
+        codes = next(iter(CodeTable(catalog).sets(matrix=last.matrix)), None)
         ((photos, with_heading, with_time, earliest, latest),) = catalog.select(
             "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time), MAX(time) FROM photos WHERE removed = 0"
         )
@@ -90,6 +102,10 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
         dim=header.dim,
         bytes=index_folder.size(folder),
         bytes_of_descriptors=last.rows * header.dim * vectors.STORED.itemsize,
+        bytes_of_codes=codes.rows * codes.size if codes else 0,
+        code_bytes=codes.size if codes else None,
+        coded=codes.rows if codes else 0,
+        codes_fitted_on=codes.seen if codes else None,
         created=header.created,
         box=around,
         span_km=span_km(around) if around else None,
@@ -199,12 +215,16 @@ def verify(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]:
         look: Gives the latest commit.
     """
     said: list[str] = []
-    for part in (partial(catalog_trouble, catalog), partial(vectors_trouble, catalog, look)):
+    for part in (
+        partial(catalog_trouble, catalog),
+        partial(vectors_trouble, catalog, look),
+        partial(codes_trouble, catalog, look),
+    ):
         try:
             said += part()
         except StoreError as error:  # so damaged that it cannot be read: that is what we were asked for
             said.append(str(error))
-    return list(dict.fromkeys(said))  # both parts may meet with the same damage
+    return list(dict.fromkeys(said))  # several parts may meet with the same damage
 
 
 def catalog_trouble(catalog: Catalog) -> list[str]:
@@ -246,3 +266,27 @@ def vectors_trouble(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]
         "index it again"
         for row, (photo, _) in named.items()
     ]
+
+
+def codes_trouble(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]:
+    """What is wrong with the codes, a sentence each: whether they are what was written, and codes of these rows."""
+    with catalog.reading():
+        seen, sums = look(), catalog.sums()
+        file, said = code_files.newest(CodeTable(catalog), matrix=seen.rows.path.name, dim=seen.rows.dim)
+    if file is None:
+        return said
+    step = max(1, _BLOCK // seen.rows.dim)
+    spare: Half = np.empty((step, seen.rows.dim), np.float16)
+    wrong = 0
+    for first, codes in file.all():
+        for start in range(first, first + (0 if codes is None else len(codes)), step):
+            assert codes is not None  # for mypy: else there is nothing to pass through
+            some: Bytes = codes[start - first : start - first + step]
+            rows = seen.rows.block(start, start + len(some), spare)
+            here = slice(start, start + len(rows))
+            # Another processor may round a number the other way.
+            off = np.abs(file.coding.encode(rows).astype(np.int16) - some[: len(rows)]).max(axis=1) > 1
+            wrong += int(np.count_nonzero(off & seen.alive[here] & sound(rows, sums[here])))
+    if wrong:
+        said.append(f"{file.path} holds codes of other descriptors for {wrong} photos: {way_out(catalog.path.parent)}")
+    return said + file.noticed

@@ -21,6 +21,7 @@ import numkong
 import numpy as np
 import numpy.typing as npt
 
+from salad.processors import processors
 from salad.search.base import (
     ArrayRows,
     Block,
@@ -34,7 +35,7 @@ from salad.search.base import (
     as_queries,
     check_k,
 )
-from salad.search.exact import ExactSearcher, Single, pieces, processors, widened
+from salad.search.exact import ExactSearcher, Single, pieces, widened
 from salad.search.principal import principal
 
 if TYPE_CHECKING:
@@ -184,19 +185,19 @@ class CompressedSearcher:
     Args:
         rows: What is searched. Rows that are lost must not be allowed in a search.
         codes: Of these rows.
-        candidates: Rows of each query that are scored exactly, at least.
+        candidates: Rows of each query that are scored exactly, at least; `CANDIDATES` where not given.
         threads: Most threads; where not given, as `ExactSearcher` has it.
     """
 
     takes_filters = False
 
-    def __init__(self, rows: Rows, codes: Codes, *, candidates: int = CANDIDATES, threads: int | None = None) -> None:
+    def __init__(self, rows: Rows, codes: Codes, *, candidates: int | None = None, threads: int | None = None) -> None:
         self._rows, self._codes = rows, codes
-        self._candidates, self._threads = candidates, threads or processors()
+        self._candidates, self._threads = candidates or CANDIDATES, threads or processors()
         self._exact = ExactSearcher(rows, threads=threads)
 
     @classmethod
-    def of(cls, rows: Rows, *, size: int = 256, candidates: int = CANDIDATES, seed: int = 0) -> Self:
+    def of(cls, rows: Rows, *, size: int = 256, candidates: int | None = None, seed: int = 0) -> Self:
         """One that makes codes of its own, in memory; `SearcherFactory` for whoever has no index.
 
         Raises:

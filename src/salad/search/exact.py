@@ -23,7 +23,6 @@ lost below is less than that: a product of two numbers of float16 is 2^-48 at le
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -35,6 +34,7 @@ import numkong
 import numpy as np
 import numpy.typing as npt
 
+from salad.processors import processors
 from salad.search.base import (
     Block,
     DamagedRowError,
@@ -178,16 +178,6 @@ class ExactSearcher:
 def pieces(queries: Queries, most: int) -> list[Queries]:
     """Queries some at a time, about as many each time."""
     return np.array_split(queries, -(-len(queries) // max(1, most)))
-
-
-def processors() -> int:
-    """How many threads a search takes where nobody says."""
-    # The variable is OpenMP's, whose threads these are not; but it is what people set to say how many they want.
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    if asked.isdecimal() and int(asked):
-        return int(asked)
-    may = getattr(os, "sched_getaffinity", None)
-    return len(may(0)) if may else os.cpu_count() or 1
 
 
 class _Ready(NamedTuple):
