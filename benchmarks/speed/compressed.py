@@ -1,6 +1,6 @@
 """A million photos of 8,448 numbers: how large their codes are, how long a query takes, how much of it they find.
 
-    python -m benchmarks.real_descriptors DESCRIPTORS
+    python -m benchmarks.accuracy.real_descriptors DESCRIPTORS
     python -m benchmarks.speed.compressed SCRATCH --descriptors DESCRIPTORS [--photos 1000000] [--bytes 256 128 64]
 
 makes an index in the folder SCRATCH (17 GB for a million; what was begun is gone on with; delete it afterwards), of all
@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.accuracy.real_descriptors import Described, Distractors, Half, Layout
 from benchmarks.accuracy.recall import SETS
 from benchmarks.machine import conditions, in_a_line, in_fresh_process, peak_memory
 from benchmarks.options import TRAIN, benchmark_parser
-from benchmarks.real_descriptors import Described, Distractors, Half, Layout
 from salad.datasets.places import find_places
 from salad.images.photo import Photo
 from salad.index.index import Index
@@ -89,32 +89,26 @@ def make(folder: Path, given: Asked, count: int, *, seed: int) -> None:
                 print(f"{at} of {count} photos", flush=True)
 
 
-class Truth(NamedTuple):
-    """What an exact search finds: rows `[Q, k]`, and the share of them that are photos, not distractors."""
-
-    rows: npt.NDArray[np.int64]
-    real: float
-
-
-def truth(index: Path, kept: Path, queries: Half, *, real: int) -> Truth:
-    """The best rows of each query by an exact search, kept in a file: it reads everything, which takes a while."""
+def truth(index: Path, kept: Path, queries: Half) -> npt.NDArray[np.int64]:
+    """The best rows of each query by an exact search; kept in a file, since to read everything takes a while."""
     if not kept.is_file():
         with Index.open(index, searcher=ExactSearcher) as exact:
             np.save(kept, found(exact, queries))
-    rows = np.load(kept)
-    return Truth(rows, float((rows[:, :K] < real).mean()))
+    rows: npt.NDArray[np.int64] = np.load(kept)
+    return rows
 
 
 def found(index: Index, queries: Half) -> npt.NDArray[np.int64]:
-    """Rows that a search finds for each query, -1 where there is no more."""
-    some = np.array_split(queries, -(-len(queries) // 64))
-    hits = [best for part in some for best in index.search(part, k=K, centred=True)]
-    return np.array([[match.row for match in best] + [-1] * (K - len(best)) for best in hits])
+    """The rows that a search finds for each query: `[Q, K]`."""
+    return np.array([[match.row for match in best] for best in index.search(queries, k=K, centred=True)])
 
 
-def alone(index: Path, queries: Half, candidates: int, rounds: int, exact: bool) -> dict[str, float]:
-    """Milliseconds a query, asked one by one, and the memory of it; to be called in a process of its own."""
-    searcher = ExactSearcher if exact else None
+def alone(index: Path, queries: Half, candidates: int, rounds: int) -> dict[str, float]:
+    """Milliseconds a query, asked one by one, and the memory of it; to be called in a process of its own.
+
+    Without candidates, searches are exact.
+    """
+    searcher = None if candidates else ExactSearcher
     compressed.CANDIDATES = candidates
     before = peak_memory()
     began = time.perf_counter()
@@ -151,52 +145,46 @@ def main() -> None:
     parser.add_argument("--photos", type=int, default=1_000_000)
     parser.add_argument("--bytes", type=int, nargs="+", default=[256, 128, 64])
     parser.add_argument("--candidates", type=int, nargs="+", default=[200, compressed.CANDIDATES, 1000])
-    parser.add_argument("--evaluation", type=int, default=300, help="evaluation queries asked, evenly spread")
+    parser.add_argument("--queries", type=int, default=300, help="of each kind, evenly spread")
     parser.add_argument("--rounds", type=int, default=40)
     given = parser.parse_args()
     what = asked(given.descriptors, given.train, seed=SEED)
-    spread = np.linspace(0, len(what.queries["evaluation"]) - 1, given.evaluation).astype(int)
-    queries = {"training": what.queries["training"], "evaluation": what.queries["evaluation"][spread]}
+    queries = np.concatenate(
+        [rows[np.linspace(0, len(rows) - 1, given.queries).astype(int)] for rows in what.queries.values()]
+    )
+    kinds = {name: slice(n * given.queries, (n + 1) * given.queries) for n, name in enumerate(what.queries)}
     folder = given.scratch / f"{given.photos}.index"
-    print(in_a_line(conditions("numkong", "numpy", seed=SEED, threads=processors(), photos=given.photos)))
+    print(in_a_line(conditions("numkong", "numpy", seed=SEED, threads=processors(), photos=given.photos)), flush=True)
     make(folder, what, given.photos, seed=SEED)
-    best = {
-        kind: truth(folder, given.scratch / f"{given.photos}-{kind}.npy", each, real=len(what.real))
-        for kind, each in queries.items()
-    }
-    photos = ", ".join(f"{100 * each.real:.0f} % for {kind} queries" for kind, each in best.items())
-    print(
-        f"{len(what.real)} photos, {given.photos - len(what.real)} distractors; of the ten best rows photos are {photos}"
-    )
-    print(
-        "| way | recall@10, training | evaluation | 1 query, ms: best | median | processor | first | MB before | first | all |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    best = truth(folder, given.scratch / f"{given.photos}-{given.queries}.npy", queries)
+    photos = ", ".join(f"{100 * (best[those] < len(what.real)).mean():.0f} % ({kind})" for kind, those in kinds.items())
+    others = given.photos - len(what.real)
+    print(f"{len(what.real)} photos, {others} distractors; {given.queries} queries of each kind; "
+          f"of their ten best rows photos are {photos}")  # fmt: skip
+    heads = ["way", *(f"recall@10, {kind}" for kind in kinds), "ms: best", "median", "processor", "first"]
+    print("| " + " | ".join([*heads, "MB before", "first", "all"]) + " |\n" + "|---" * 9 + "|", flush=True)
     for size in given.bytes:
         with Index.open(folder) as index:
             began, spent = time.perf_counter(), time.process_time()
             done = index.compress(size)
             took = f"{time.perf_counter() - began:.0f} s ({time.process_time() - spent:.0f} s of processor)"
-            with index._catalog.reading():  # what belongs to the codes besides
-                ((blobs,),) = index._catalog.select("SELECT SUM(LENGTH(axes) + LENGTH(middle)) FROM codings")
-            total = (index.info().bytes_of_codes + blobs) / 1e6
+            total = (done.rows * size + coding_bytes(size, index.dim)) / 1e6
         if done.written:
-            print(
-                f"{size} bytes: {done.written} codes in {took}; {total:.1f} MB with all that goes with them", flush=True
-            )
+            print(f"{size} bytes: {done.written} codes in {took}; {total:.1f} MB with how they are coded", flush=True)
         for candidates in given.candidates:
             compressed.CANDIDATES = candidates
             with Index.open(folder) as index:
-                recall = " | ".join(f"{reached(found(index, queries[kind]), best[kind]):.4f}" for kind in best)
-            figures = in_fresh_process(alone, folder, queries["evaluation"], candidates, given.rounds, False)
+                same = (found(index, queries)[:, None] == best[:, :, None]).any(axis=2)
+            figures = in_fresh_process(alone, folder, queries, candidates, given.rounds)
+            recall = " | ".join(f"{same[those].mean():.4f}" for those in kinds.values())
             print(shown(f"{size} bytes, {candidates} candidates", recall, figures), flush=True)
-    figures = in_fresh_process(alone, folder, queries["evaluation"], 0, 3, True)
-    print(shown("exact", "1 | 1", figures), flush=True)
+    figures = in_fresh_process(alone, folder, queries, 0, 3)
+    print(shown("exact", " | ".join("1" for _ in kinds), figures), flush=True)
 
 
-def reached(rows: npt.NDArray[np.int64], best: Truth) -> float:
-    """The share of the best rows that are found."""
-    return float(np.mean([np.isin(one, other).mean() for one, other in zip(best.rows, rows, strict=True)]))
+def coding_bytes(size: int, dim: int) -> int:
+    """What is kept besides the codes themselves: directions in half precision, and where the mean lies."""
+    return size * dim * 2 + size * 4
 
 
 if __name__ == "__main__":

@@ -127,3 +127,44 @@ def test_merge_takes_what_is_new(cli: Any, city: Path, photos: Any, tmp_path: Pa
     with Index.open(city) as index:
         Index.create(tmp_path / "third", dim=index.dim, fingerprint="f", model="third").close()
     assert "take them into an index of their own" in one_sentence(cli("merge", city, tmp_path / "third"))
+
+
+def test_compress_gives_codes_and_takes_them_away(cli: Any, city: Path, asked: Any) -> None:
+    ran = cli("compress", city, "--bytes", "64")
+    assert (ran.code, ran.out) == (0, "")
+    assert "6 photos have codes of 64 bytes, fitted anew" in ran.err
+    told = cli("info", city, "--format", "json").json()
+    assert [told[name] for name in ("code_bytes", "coded", "codes_fitted_on", "bytes_of_codes")] == [64, 6, 6, 6 * 64]
+    assert "bytes of codes a photo" in cli("info", city).out
+    assert "6 photos have codes of 64 bytes, 0 of them written" in cli("compress", city).err
+    assert cli("verify", city).code == 0
+    (codes,) = city.glob("codes-*.i8")
+    codes.write_bytes(b"torn")
+    ran = cli("verify", city)
+    assert ran.code == 1
+    assert f"'salad compress {city.resolve()}'" in ran.out
+    assert cli("compress", city).code == cli("verify", city).code == 0
+    assert "all searches are exact" in cli("compress", city, "--off").err
+    assert not list(city.glob("codes-*"))
+    assert "leave out --bytes 64" in one_sentence(cli("compress", city, "--off", "--bytes", "64"))
+
+
+def test_a_large_index_is_compressed_by_itself(cli: Any, city: Path, photos: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr("salad.index.compress.AUTOMATIC", 1)
+    ran = cli("index", photos.references, "--to", city)
+    assert "6 photos have codes of 256 bytes, fitted anew" in ran.err
+    assert "codes" not in cli("index", photos.references, "--to", city).err
+    cli("compress", city, "--off")
+    assert "codes" not in cli("index", photos.references, "--to", city).err
+
+
+def test_locate_says_that_codes_are_damaged_and_searches_exactly(cli: Any, city: Path, photos: Any) -> None:
+    plain = cli("locate", photos.queries, "--index", city, "--format", "json")
+    cli("compress", city)
+    for more in ((), ("--exact",)):
+        assert cli("locate", photos.queries, "--index", city, "--format", "json", *more) == plain
+    (codes,) = city.glob("codes-*.i8")
+    codes.unlink()
+    ran = cli("locate", photos.queries, "--index", city, "--format", "json")
+    assert (ran.code, ran.out) == (plain.code, plain.out)
+    assert f"'salad compress {city.resolve()}'" in ran.err

@@ -124,8 +124,7 @@ def test_info_tells_of_codes(index: Index) -> None:
         "codes_fitted_on": 1000,
     }
     index.drop_codes()
-    told = index.info().as_dict()
-    assert [told[name] for name in ("bytes_of_codes", "code_bytes", "coded", "codes_fitted_on")] == [0, None, 0, None]
+    assert not {"bytes_of_codes", "code_bytes", "coded", "codes_fitted_on"} & set(index.info().as_dict())
 
 
 def flip(path: Path, place: int) -> None:

@@ -28,8 +28,8 @@ Up to there the descriptors stay in memory between searches, 512 MiB; beyond, ev
 OUTGROWN = 2
 """A coding serves until an index holds so many times the photos that it held when the coding was fitted.
 
-docs/compressed-search.md tells what waiting longer costs. Since an index must double, all the fitting that ever is done
-takes no more than twice the time of the last one."""
+By then half of it was never seen by the fit. And since an index must double, all the fitting that ever is done takes no
+more than twice the time of the last one."""
 
 _STAGE = 16384  # rows coded before they are written down
 _STEP = 1 << 24  # numbers of descriptors in memory at once

@@ -26,6 +26,7 @@ from salad.search.filters import Box
 
 _ROUNDING = 1e-3  # what float16 may take from a length, and add to it: half of 2^-10
 _BLOCK = 1 << 22  # numbers looked at in one go
+_OF_CODES = ("bytes_of_codes", "code_bytes", "coded", "codes_fitted_on")
 _CHECKED = 1024  # rows found whose checksums are looked up in one go
 
 
@@ -78,8 +79,9 @@ class IndexInfo:
     format_version: int
 
     def as_dict(self) -> dict[str, Any]:
-        """These facts as JSON holds them."""
-        return {**asdict(self), "created": self.created.isoformat()}
+        """These facts as JSON holds them; of codes where it has some."""
+        told = {**asdict(self), "created": self.created.isoformat()}
+        return {name: fact for name, fact in told.items() if self.code_bytes is not None or name not in _OF_CODES}
 
 
 def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:

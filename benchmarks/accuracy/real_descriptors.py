@@ -1,6 +1,6 @@
 """Descriptors of real photos, and as many more like them as an index of a million needs.
 
-    python -m benchmarks.real_descriptors FOLDER [--model salad-lite] [--crops 3000]
+    python -m benchmarks.accuracy.real_descriptors FOLDER [--model salad-lite] [--crops 3000]
 
 describes the training photos, crops of some of them and the evaluation photos once, and keeps them in FOLDER: rows of
 float16 in `train.npy`, `crops.npy` and a file for each evaluation set, with the photos' names beside them.
