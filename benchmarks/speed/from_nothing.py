@@ -2,9 +2,9 @@
 
     python -m benchmarks.speed.from_nothing [CHECKOUT ...] [--rounds 1]
 
-Each checkout is cloned anew in each round, and they take turns; ratios are to the first, of the best rounds. What pip has
-fetched before comes from its cache, which makes all of them quicker than a first time. On a busy machine believe the
-processor's time, which is that of all processes together.
+Each checkout is cloned anew in each round, and they take turns; ratios are to the first, of the best rounds. What pip
+has fetched before comes from its cache, which makes all of them quicker than a first time. On a busy machine believe
+the processors' time, which is that of all processes together.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def demo_from_nothing(checkout: Path) -> tuple[float, float]:
     """Seconds by the clock, and of the processors."""
     with tempfile.TemporaryDirectory() as folder:
         clone = Path(folder) / "clone"
-        subprocess.run(["git", "clone", "--quiet", checkout, clone], check=True)
+        subprocess.run(["git", "-c", "advice.detachedHead=false", "clone", "--quiet", checkout, clone], check=True)
         # As in a new shell: whatever environment this one runs in must lend it nothing.
         lent = ("PYTHONPATH", "VIRTUAL_ENV")
         alone = {name: value for name, value in os.environ.items() if name not in lent}
