@@ -119,6 +119,7 @@ def test_index_reads_at_names(cli: Any, asked: Any, photos: Any, tmp_path: Path)
         (["--model", "no-such-model"], "no-such-model"),
         (["--table", "no-such.csv"], "no-such.csv"),
         (["--batch-size", "0"], "--batch-size 0"),
+        (["--threads", "0"], "--threads 0"),
         (["no-such.jpg"], "no-such.jpg"),
     ],
 )

@@ -255,6 +255,6 @@ def test_what_is_on_its_way_is_bounded_and_in_order() -> None:
 
 @pytest.mark.parametrize(("memory", "count"), [(1 << 20, 1), (5 << 30, 2), (1 << 40, 8)])
 def test_no_more_are_read_at_once_than_memory_allows(memory: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(workers, "processors", lambda: 64)
     monkeypatch.setattr(os, "sysconf", lambda name: 1 if name == "SC_PAGE_SIZE" else memory)
     assert workers.photos_at_once() == count

@@ -236,7 +236,7 @@ def test_many_photos_are_read_by_processes_and_a_crash_costs_one(
 def test_an_interrupt_ends_the_processes(index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Workers] = []
     monkeypatch.setattr("salad.images.workers.FEW", 10)
-    monkeypatch.setattr("salad.index.build.Workers", lambda photos: made.append(Workers(photos)) or made[0])
+    monkeypatch.setattr("salad.index.build.Workers", lambda photos, **_: made.append(Workers(photos)) or made[0])
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         index_photos(photos, index, CountingDescriber(interrupt_at=7), batch_size=3)

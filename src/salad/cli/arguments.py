@@ -37,6 +37,18 @@ Degrees = Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")]
 Share = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")]
 File = Annotated[str | None, arg(metavar="FILE", help_behavior_hint="")]
 Format = Annotated[Literal["table", "json"], arg(help="For people or for programs.")]
+Engine = Annotated[
+    Literal["auto", "onnx", "torch"],
+    arg(help="What runs the model; auto takes what is fastest and computes the same."),
+]
+Threads = Annotated[
+    int | None,
+    arg(
+        metavar="N",
+        help="Photos read, and photos described, at a time; as many as there are processors where not given.",
+        help_behavior_hint="",
+    ),
+]
 
 
 def positive(number: int, what: str) -> int:
@@ -48,6 +60,16 @@ def positive(number: int, what: str) -> int:
     if number < 1:
         raise SaladError(f"{what} {number} is too few: give 1 or more")
     return number
+
+
+def check_threads(threads: int | None) -> None:
+    """Refuse a number of threads below one.
+
+    Raises:
+        SaladError: If it is 0 or less.
+    """
+    if threads is not None:
+        positive(threads, "--threads")
 
 
 # What follows imports as it runs: `salad --help` reads the types above, and is to be there at once.

@@ -12,13 +12,16 @@ from salad.cli import evaluation_tables, terminal
 from salad.cli.arguments import (
     SHIPPED,
     Degrees,
+    Engine,
     Folder,
     Format,
     Metres,
     Number,
     Table,
+    Threads,
     benchmark_of,
     check_positions,
+    check_threads,
     read_positions,
 )
 from salad.errors import BenchmarkError
@@ -76,6 +79,8 @@ class EvaluateCommand:
     """Attention heads of a published file that are not width / 64."""
     device: str = "cpu"
     """Where the model runs, as torch names it."""
+    engine: Engine = "auto"
+    threads: Threads = None
     descriptors: TwoFiles = None
     """Judge these in place of a model: a row a photo, in the order of the set's photos."""
     rankings: FilePath = None
@@ -135,6 +140,7 @@ class EvaluateCommand:
 
     def _refuse_early(self) -> None:
         """Refuse before any work what would come to nothing after it."""
+        check_threads(self.threads)
         outside = self.descriptors is not None or self.rankings is not None
         if self.descriptors is not None and self.rankings is not None:
             raise BenchmarkError("--descriptors and --rankings are two methods: judge one at a time")
@@ -215,9 +221,7 @@ class EvaluateCommand:
         result = replace(result, folders=(str(self.references or references), str(self.queries or queries)))
         if not self.heat:
             return result, None
-        from salad.models.model_folder import load
-
-        model = load(self.model, device=self.device, heads=self.heads)
+        model = self._model()
         if model.fingerprint != result.fingerprint:  # a name may stand for other weights by now
             raise BenchmarkError(
                 f"the result is of {result.model} ({result.fingerprint or 'no model of ours'}), and {model.name} "
@@ -225,6 +229,11 @@ class EvaluateCommand:
                 "--heat away"
             )
         return result, model
+
+    def _model(self) -> DescriberLike:
+        from salad.models.model_folder import load
+
+        return load(self.model, device=self.device, heads=self.heads, engine=self.engine, threads=self.threads)
 
     def _judge(self, benchmark: Benchmark) -> tuple[Result, DescriberLike | None]:
         """What a model, or what comes from outside, reaches on a set; and the model, where there is one."""
@@ -237,11 +246,17 @@ class EvaluateCommand:
         if self.rankings is not None:
             name = self.called or self.rankings.stem
             return evaluate_rankings(benchmark, self.rankings, name=name, settings=settings), None
-        from salad.models.model_folder import load
-
-        model = load(self.model, device=self.device, heads=self.heads)
+        model = self._model()
         with terminal.progress("describing") as bar:
-            result = evaluate(benchmark, model, cache=self.cache, seed=self.seed, plain=self.plain, progress=bar)
+            result = evaluate(
+                benchmark,
+                model,
+                cache=self.cache,
+                seed=self.seed,
+                plain=self.plain,
+                threads=self.threads,
+                progress=bar,
+            )
         return result, model
 
     def _write_lists(self, benchmark: Benchmark, references: Path, queries: Path) -> int:

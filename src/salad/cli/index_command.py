@@ -16,9 +16,12 @@ from tyro.conf import arg
 
 from salad.cli import terminal
 from salad.cli.arguments import (
+    Engine,
     ModelName,
     Photos,
     Table,
+    Threads,
+    check_threads,
     is_index,
     model_name_for,
     open_or_create,
@@ -55,6 +58,8 @@ class IndexCommand:
     """Take what `salad export` wrote, or another tool's .npy and table (name their model), in place of PHOTOS."""
     device: str = "cpu"
     """Where the model runs, as torch names it."""
+    engine: Engine = "auto"
+    threads: Threads = None
     batch_size: int = 16
     """Photos the model takes at a time."""
 
@@ -67,10 +72,12 @@ class IndexCommand:
         from salad.models.model_folder import load
 
         positive(self.batch_size, "--batch-size")
+        check_threads(self.threads)
         sources = list(terminal.expand_stdin(self.photos))  # kept: stdin can be read but once
         paths = find_photos(sources)
         table = read_positions(self.table)
-        model = load(self.model or model_name_for(self.to), device=self.device)
+        named = self.model or model_name_for(self.to)
+        model = load(named, device=self.device, engine=self.engine, threads=self.threads)
         with open_or_create(self.to, model) as index:
             done = self._describe(paths, index, model, table)
             gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])
@@ -97,7 +104,15 @@ class IndexCommand:
 
             report(0, len(paths))  # the first batch takes a while: let people see that there is something to wait for
             try:
-                return index_photos(paths, index, model, table=table, batch_size=self.batch_size, progress=report)
+                return index_photos(
+                    paths,
+                    index,
+                    model,
+                    table=table,
+                    batch_size=self.batch_size,
+                    threads=self.threads,
+                    progress=report,
+                )
             except KeyboardInterrupt:
                 terminal.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
                 raise

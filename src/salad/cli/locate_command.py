@@ -16,7 +16,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from salad.cli import terminal
-from salad.cli.arguments import Degrees, Folder, ModelName, Photos, model_name_for, positive
+from salad.cli.arguments import (
+    Degrees,
+    Engine,
+    Folder,
+    ModelName,
+    Photos,
+    Threads,
+    check_threads,
+    model_name_for,
+    positive,
+)
 from salad.errors import PhotoError, SaladError
 
 if TYPE_CHECKING:
@@ -126,6 +136,8 @@ class LocateCommand:
     """The model the index was made with, where it is not one of the zoo."""
     device: str = "cpu"
     """Where the model runs, as torch names it."""
+    engine: Engine = "auto"
+    threads: Threads = None
 
     def run(self) -> int:
         """Locate the photos."""
@@ -133,6 +145,7 @@ class LocateCommand:
 
         # Whatever can be refused is refused now: a drive may take an hour to locate.
         positive(self.k, "-k")
+        check_threads(self.threads)
         if self.min_confidence is not None and not 0 <= self.min_confidence <= 1:
             raise SaladError(f"--min-confidence {self.min_confidence} is not between 0 and 1")
         if not 0 < self.radius <= 1e6:
@@ -172,7 +185,8 @@ class LocateCommand:
             Index.open(self.index, searcher=ExactSearcher if self.exact else None) as index,
             terminal.progress("locating") as bar,
         ):
-            model = load(self.model or model_name_for(self.index), device=self.device)
+            named = self.model or model_name_for(self.index)
+            model = load(named, device=self.device, engine=self.engine, threads=self.threads)
             bar(0, len(paths))
             for answer in locate_many(
                 paths,
@@ -182,6 +196,7 @@ class LocateCommand:
                 where=where,
                 radius_m=self.radius,
                 min_confidence=self.min_confidence,
+                threads=self.threads,
                 on_unreadable=unreadable.append,
             ):
                 answers.append(answer)

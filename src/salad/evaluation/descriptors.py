@@ -3,7 +3,8 @@
     DIR/<fingerprint>-decoder<version>/<digest>.safetensors      contents [N, 16] bytes, descriptors [N, dim] float32
 
 A photo is known by its content, and a cache by all that makes a descriptor of it: the model's fingerprint and the
-version of the decoder. A file is written whole or not at all, named after the contents in it and never changed; so an
+version of the decoder. A photo is opened once, by workers that read while the model describes: hashed, and decoded
+from the same bytes. A file is written whole or not at all, named after the contents in it and never changed; so an
 evaluation that is cut short keeps all but its last block, and several may share a folder. They are float32: a figure
 from the cache is the figure that was measured, to the last digit. A file that is damaged counts for nothing, and is
 written anew.
@@ -15,11 +16,12 @@ import hashlib
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Float32, Int64
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
@@ -27,8 +29,9 @@ from safetensors.numpy import save
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError, PhotoError
 from salad.files import write_whole
-from salad.images.decode import DECODER
-from salad.images.photo import Photo, content_hash
+from salad.images.decode import DECODER, Pixels
+from salad.images.photo import Photo
+from salad.images.workers import PhotoRead, Workers
 from salad.search.base import ArrayRows, Block, Numbers, Rows
 
 if TYPE_CHECKING:
@@ -47,6 +50,7 @@ def describe_sides(
     *,
     batch_size: int = 16,
     cache: Path | None = None,
+    threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[Rows, Rows]:
     """Describe references and queries.
@@ -56,6 +60,7 @@ def describe_sides(
         model: What turns them into descriptors.
         batch_size: Photos described at once.
         cache: A folder of descriptors to take from and to add to; in memory alone where not given.
+        threads: Photos read at a time; one a processor where not given.
         progress: Told how many photos are described, and of how many.
 
     Returns:
@@ -67,36 +72,46 @@ def describe_sides(
     """
     photos = benchmark.references, benchmark.queries
     if cache is not None:
-        return DescriptorCache(cache, model).sides(*photos, batch_size=batch_size, progress=progress)
-    total, done, sides = sum(map(len, photos)), 0, []
-    for side in photos:
-        descriptors = np.empty((len(side), model.dim), dtype=np.float32)
-        for start in range(0, len(side), batch_size):
-            batch = range(start, min(start + batch_size, len(side)))
-            descriptors[start : batch.stop] = describe_batch(model, [side[row].path for row in batch])
-            done += len(batch)
-            if progress is not None:
-                progress(done, total)
-        sides.append(ArrayRows(descriptors))
+        return DescriptorCache(cache, model).sides(*photos, batch_size=batch_size, threads=threads, progress=progress)
+    total, done, sides, to = sum(map(len, photos)), 0, [], model.preprocessing
+    with Workers(total, at_once=threads) as workers:
+        for side in photos:
+            paths = (side[row].path for row in range(len(side)))
+            decoded = workers.in_order(
+                lambda path: (path, workers.decode(path, to.height, to.width, to.resample)),
+                paths,
+                ahead=2 * batch_size,
+            )
+            descriptors = np.empty((len(side), model.dim), dtype=np.float32)
+            for start in range(0, len(side), batch_size):
+                try:
+                    batch = list(islice(decoded, batch_size))
+                except PhotoError as error:
+                    raise unreadable(error) from error
+                descriptors[start : start + len(batch)] = describe_batch(model, batch)
+                done += len(batch)
+                if progress is not None:
+                    progress(done, total)
+            sides.append(ArrayRows(descriptors))
     return sides[0], sides[1]
 
 
-def describe_batch(model: DescriberLike, paths: Sequence[Path]) -> Float32[np.ndarray, "photos dim"]:
+def describe_batch(model: DescriberLike, photos: Sequence[tuple[Path, Pixels]]) -> Float32[np.ndarray, "photos dim"]:
     """Describe some photos at once, and see that these are descriptors.
 
+    Args:
+        model: What describes them.
+        photos: Where each is from, for errors, and its pixels as the model takes them.
+
     Raises:
-        BenchmarkError: If one cannot be read.
         ModelError: If the model gives descriptors of another shape than it says, or numbers that are not finite.
     """
-    try:
-        described = model.describe(paths, batch_size=len(paths))
-    except PhotoError as error:
-        raise unreadable(error) from error
-    due = (len(paths), model.dim)
+    described = model.describe([pixels for _, pixels in photos], batch_size=len(photos))
+    due = (len(photos), model.dim)
     if described.shape != due or not np.isfinite(described).all():
         raise ModelError(
-            f"model '{model.name}' gave {described.shape} numbers for {len(paths)} photos "
-            f"from {paths[0]} on, where {due} finite ones were due: use other weights"
+            f"model '{model.name}' gave {described.shape} numbers for {len(photos)} photos "
+            f"from {photos[0][0]} on, where {due} finite ones were due: use other weights"
         )
     return described
 
@@ -123,6 +138,7 @@ class DescriptorCache:
         self._model = model
         # What another decoder made of a photo is another descriptor, and must not be found here.
         self._folder = folder / f"{model.fingerprint}-decoder{DECODER}"
+        self._guess_known = False
         self._files: list[_CacheFile] = []
         self._rows: dict[bytes, tuple[int, int]] = {}  # by content: the number of a file, and the row in it
         try:
@@ -140,9 +156,17 @@ class DescriptorCache:
         queries: Sequence[Photo],
         *,
         batch_size: int = 16,
+        threads: int | None = None,
         progress: Progress | None = None,
     ) -> tuple[Rows, Rows]:
         """Describe what is not here yet; the descriptors of both sides, read from the files as they are asked for.
+
+        Args:
+            references: The one side.
+            queries: The other.
+            batch_size: Photos described at once.
+            threads: Photos read at a time; one a processor where not given.
+            progress: Told how many photos are looked at, and of how many.
 
         Raises:
             BenchmarkError: If a photo cannot be read, or the cache not written.
@@ -151,22 +175,23 @@ class DescriptorCache:
         total = len(references) + len(queries)
         # An array: millions of bytes objects would take ten times it.
         keys = np.zeros((total, _KEY), dtype=np.uint8)
-        waiting: dict[bytes, Path] = {}
-        for number, photo in enumerate(chain(references, queries)):
-            try:
-                key = bytes.fromhex(content_hash(photo.path))
-            except PhotoError as error:
-                raise unreadable(error) from error
-            keys[number] = np.frombuffer(key, dtype=np.uint8)
-            if key not in self._rows:
-                waiting[key] = photo.path
-            if len(waiting) == _PHOTOS or len(waiting) * self._model.dim >= _NUMBERS:
-                self._describe(waiting, batch_size)
-                waiting = {}
-            if progress is not None:  # photos looked at, described or known: so it runs evenly to its end
-                progress(number + 1, total)
-        if waiting:
-            self._describe(waiting, batch_size)
+        block = _Block(self, self._model, batch_size)
+        with Workers(total, at_once=threads) as workers:
+            paths = (photo.path for photo in chain(references, queries))
+            found = workers.in_order(lambda path: self._read(workers, path), paths, ahead=2 * batch_size)
+            for number in range(total):
+                try:
+                    path, read = next(found)
+                    key = bytes.fromhex(read.content_hash)
+                    keys[number] = np.frombuffer(key, dtype=np.uint8)
+                    self._guess_known = key in self._rows
+                    if not self._guess_known and not block.holds(key):
+                        block.add(key, path, self._pixels(workers, path, read))
+                except PhotoError as error:
+                    raise unreadable(error) from error
+                if progress is not None:  # photos looked at, described or known: so it runs evenly to its end
+                    progress(number + 1, total)
+        block.write()
         rows = np.array([self._rows[key.tobytes()] for key in keys], dtype=np.int64).reshape(-1, 2)
         files, dim = tuple(self._files), self._model.dim
         return (
@@ -174,13 +199,28 @@ class DescriptorCache:
             _CachedRows(files, rows[len(references) :], dim),
         )
 
-    def _describe(self, photos: dict[bytes, Path], batch_size: int) -> None:
-        """Describe these photos and keep them in one file."""
-        paths = list(photos.values())  # one path of each content: copies of a photo are described once
-        rows = np.empty((len(paths), self._model.dim), dtype=np.float32)
-        for low in range(0, len(paths), batch_size):
-            rows[low : low + batch_size] = describe_batch(self._model, paths[low : low + batch_size])
-        keys = np.frombuffer(b"".join(photos), dtype=np.uint8).reshape(-1, _KEY)
+    def _read(self, workers: Workers, path: Path) -> tuple[Path, PhotoRead]:
+        """One trip to a photo; it is decoded where it is guessed to be new, as the one before it was."""
+        to = self._model.preprocessing
+        return path, workers.read(path, None if self._guess_known else (to.height, to.width, to.resample))
+
+    def _pixels(self, workers: Workers, path: Path, read: PhotoRead) -> Pixels:
+        """The pixels of a photo that was read; where the guess was wrong, on a second trip.
+
+        Raises:
+            PhotoError: If they cannot be decoded.
+        """
+        if read.trouble:
+            raise PhotoError(read.trouble)
+        to = self._model.preprocessing
+        return workers.decode(path, to.height, to.width, to.resample) if read.pixels is None else read.pixels
+
+    def keep(self, keys: npt.NDArray[np.uint8], rows: npt.NDArray[np.float32]) -> None:
+        """Keep descriptors `[N, dim]` of contents `[N, 16]` in one file.
+
+        Raises:
+            BenchmarkError: If it cannot be written.
+        """
         path = self._folder / f"{hashlib.blake2b(keys.tobytes(), digest_size=16).hexdigest()}{_SUFFIX}"
         sum_ = zlib.crc32(rows.tobytes(), zlib.crc32(keys.tobytes()))
         content = save({"contents": keys, "descriptors": rows}, metadata={"crc32": f"{sum_:08x}"})
@@ -201,6 +241,42 @@ class DescriptorCache:
             self._rows.setdefault(key, (len(self._files), row))
         if keys:
             self._files.append(file)
+
+
+class _Block:
+    """Photos on their way into one file of a cache: described some at a time, for their pixels take more room."""
+
+    def __init__(self, cache: DescriptorCache, model: DescriberLike, batch_size: int) -> None:
+        self._cache, self._model, self._batch_size = cache, model, batch_size
+        self._keys: dict[bytes, None] = {}  # of each content once: copies of a photo are described once
+        self._waiting: list[tuple[Path, Pixels]] = []
+        self._rows: list[npt.NDArray[np.float32]] = []
+
+    def holds(self, key: bytes) -> bool:
+        return key in self._keys
+
+    def add(self, key: bytes, path: Path, pixels: Pixels) -> None:
+        """Take in a photo; describe a batch, or write the file, where that is full."""
+        self._keys[key] = None
+        self._waiting.append((path, pixels))
+        full = len(self._keys) == _PHOTOS or len(self._keys) * self._model.dim >= _NUMBERS
+        if full:
+            self.write()
+        elif len(self._waiting) == self._batch_size:
+            self._describe()
+
+    def write(self) -> None:
+        """Write what is here to a file of its own, and begin anew."""
+        self._describe()
+        if self._keys:
+            keys = np.frombuffer(b"".join(self._keys), dtype=np.uint8).reshape(-1, _KEY)
+            self._cache.keep(keys, np.concatenate(self._rows))
+            self._keys, self._rows = {}, []
+
+    def _describe(self) -> None:
+        if self._waiting:
+            self._rows.append(describe_batch(self._model, self._waiting).astype(np.float32, copy=False))
+            self._waiting = []
 
 
 @dataclass(frozen=True, slots=True)

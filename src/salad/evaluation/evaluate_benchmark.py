@@ -80,6 +80,7 @@ def evaluate(
     cache: Path | None = None,
     seed: int = 0,
     plain: bool = False,
+    threads: int | None = None,
     searcher: SearcherFactory = ExactSearcher,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
@@ -96,6 +97,7 @@ def evaluate(
         seed: Of the draws that tell how sure the figures are.
         plain: Compare descriptors as they are, as published figures do, where the model's own way is to leave out what
             all references have in common (`salad.search.hubness`).
+        threads: Photos read at a time; one a processor where not given.
         searcher: What finds the references of each query; another than the exact one shows what it costs.
         progress: Told how many photos are described, and of how many.
 
@@ -107,7 +109,9 @@ def evaluate(
     settings = EvalSettings(ks, unanswerable, seed)
     settings.check(benchmark)
     began = time.perf_counter()
-    references, queries = describe_sides(benchmark, model, batch_size=batch_size, cache=cache, progress=progress)
+    references, queries = describe_sides(
+        benchmark, model, batch_size=batch_size, cache=cache, threads=threads, progress=progress
+    )
     centred = calibration_of(model).centred  # judged as `locate` uses it, unless asked for the published way
     ranked = rank(queries, references, k=max(ks), centred=centred and not plain, searcher=searcher)
     return judge(

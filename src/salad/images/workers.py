@@ -28,6 +28,7 @@ from typing import IO, Any, NamedTuple, Self, TypeVar
 from salad.errors import PhotoError, SaladError
 from salad.images.decode import Pixels, decode, existing, naming
 from salad.images.photo import Photo, content_hash, read_photo
+from salad.processors import processors
 
 FEW = 32
 """Fewer photos are read in this process: others would take longer to start."""
@@ -106,7 +107,7 @@ class Workers:
 
     Args:
         photos: How many are to be read; fewer than `FEW` are read in this process, trusting the decoders.
-        at_once: How many are read at a time; as many as there are cores and memory for where not given.
+        at_once: How many are read at a time; as many as there are processors and memory for where not given.
         seconds: How long a photo may take in a process before it is given up.
     """
 
@@ -180,8 +181,8 @@ class Workers:
 
 
 def photos_at_once() -> int:
-    """How many photos are read at a time: one a core, and each with memory for the largest photo there is."""
-    count = min(8, os.cpu_count() or 1)
+    """How many photos are read at a time: one a processor, and each with memory for the largest photo there is."""
+    count = min(8, processors())
     with suppress(AttributeError, OSError, ValueError):  # no such call, or no such number, on this system
         count = min(count, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // _LARGEST)
     return max(1, count)

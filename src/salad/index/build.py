@@ -86,6 +86,7 @@ def index_photos(
     *,
     table: PhotoTable | None = None,
     batch_size: int = 16,
+    threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Indexed:
     """Describe photos and add them to an index.
@@ -100,6 +101,7 @@ def index_photos(
         model: What describes them.
         table: Positions of photos, before `@` names and EXIF.
         batch_size: Photos the model takes at a time.
+        threads: Photos read at a time; one a processor where not given.
         progress: Called with (photos done, photos given) as they are done.
 
     Raises:
@@ -109,7 +111,7 @@ def index_photos(
     index.check_model(model)
     run = _Run(index, model, len(sources), progress)
     to = model.preprocessing
-    with Workers(len(sources)) as workers:
+    with Workers(len(sources), at_once=threads) as workers:
         read = partial(_read, workers, table, (to.height, to.width, to.resample))
         items = workers.in_order(read, _with_guess(sources, index), ahead=2 * batch_size)
         run.take_in(run.unknown(items, lambda path: workers.submit(read, (path, False)), batch_size), batch_size)

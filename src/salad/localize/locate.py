@@ -137,6 +137,7 @@ def locate_many(
     min_confidence: float | None = None,
     voting: Voting = vote,
     batch_size: int = 16,
+    threads: int | None = None,
     on_unreadable: Callable[[str], None] | None = None,
 ) -> Iterator[Answer]:
     """Where photos were taken, one answer after another in the order of the queries; memory stays small.
@@ -151,6 +152,7 @@ def locate_many(
         min_confidence: A place less sure than this is unknown; the model's own limit where not given.
         voting: How matches become places.
         batch_size: Photos the model takes at a time.
+        threads: Photos read at a time; one a processor where not given.
         on_unreadable: Called with a sentence for each photo that cannot be read, which then has no answer;
             where not given, the first such photo raises.
 
@@ -163,7 +165,7 @@ def locate_many(
     calibration = calibration_of(model)
     limit = calibration.min_confidence if min_confidence is None else min_confidence
     to = model.preprocessing
-    with Workers(len(queries)) as workers:
+    with Workers(len(queries), at_once=threads) as workers:
         # Two batches are decoded ahead, so that the model never waits for photos, and no more, so that memory is small.
         decoded = workers.in_order(lambda path: _decoded(workers, path, to), queries, ahead=2 * batch_size)
         readable = _readable(decoded, on_unreadable)
