@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -299,3 +300,42 @@ def test_reading_a_model_twice_reads_no_torch(folder: Path) -> None:
     model = read_folder(folder)
     assert "torch" in sys.modules  # for this test file asked for it, so look at the engine instead
     assert model.engine.weights().keys() == load(folder, engine="torch").engine.weights().keys()
+
+
+def test_photos_of_a_batch_have_a_thread_each_and_a_lone_one_has_all(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    honest = OnnxEngine._made
+
+    def counted(self: OnnxEngine, *, threads: int) -> Any:
+        made.append(threads)
+        return honest(self, threads=threads)
+
+    monkeypatch.setattr(OnnxEngine, "_made", counted)
+    engine = load(folder, engine="onnx", threads=3).engine
+    pictures = photos(7)
+    alone = [engine.run(pictures[row : row + 1]) for row in range(7)]
+    assert made == [3]
+    together = engine.run(pictures)
+    assert made == [3, 1]
+    again = engine.run(pictures[:1])  # and no third session for the last photo of many
+    assert made == [3, 1]
+    for row, one in enumerate(alone):
+        np.testing.assert_allclose(together["descriptor"][row], one["descriptor"][0], atol=1e-6)
+    np.testing.assert_array_equal(again["descriptor"][0], together["descriptor"][0])
+
+
+def test_the_weights_are_read_once_for_the_fingerprint(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, due = load(folder, engine="onnx"), load(folder, engine="torch").fingerprint
+    assert model.fingerprint == due
+    monkeypatch.setattr(model.engine, "_read", None)
+    assert model.fingerprint == due
+
+
+def test_the_fingerprint_follows_a_module_that_is_trained(folder: Path) -> None:
+    model = load(folder, engine="onnx")
+    before = model.fingerprint
+    with torch.no_grad():
+        next(iter(model.network.parameters())).add_(1)
+    assert model.fingerprint != before

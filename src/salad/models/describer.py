@@ -76,6 +76,7 @@ class Describer:
 
     def __init__(self, config: ModelConfig, engine: Engine, *, engine_choice: Choice | None = None) -> None:
         self.config, self.engine, self.engine_choice = config, engine, engine_choice
+        self._told: tuple[ModelConfig, Engine, str] | None = None  # the fingerprint, and of what
 
     @classmethod
     def of(cls, network: Network) -> Self:
@@ -111,9 +112,14 @@ class Describer:
     def fingerprint(self) -> str:
         """Changes with any weight and with any setting of architecture or preprocessing; nothing else counts.
 
-        Computed at every call (half a second for a ViT-B), so it can never be out of date.
+        Half a second for a ViT-B; of a torch module, which may be trained, at every call, so it is never out of date.
         """
-        return self.config.fingerprint(self.weights())
+        if isinstance(self.engine, TorchEngine):
+            return self.config.fingerprint(self.weights())
+        # Every other engine runs the weights it was opened with, whatever becomes of their file meanwhile.
+        if self._told is None or self._told[0] is not self.config or self._told[1] is not self.engine:
+            self._told = self.config, self.engine, self.config.fingerprint(self.weights())
+        return self._told[2]
 
     @property
     def network(self) -> Network:
