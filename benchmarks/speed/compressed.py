@@ -9,12 +9,15 @@ Two kinds of queries are asked: photos of 150 training places, of which nothing 
 candidates was chosen; and those of the evaluation sets, by which nothing was.
 
 Recall@10 is the share of the ten best rows of an exact search that the codes find too, with centred scores, as `salad
-locate` asks. Times are of `Index.search` for one query in a process of its own, which holds nothing else; the files are
-in the system's memory as far as it has room for them.
+locate` asks. Times are those of `one_query`, in a process that holds nothing else; the files are in the system's
+memory as far as it has room for them.
 """
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +28,7 @@ import numpy.typing as npt
 
 from benchmarks.accuracy.real_descriptors import Described, Distractors, Half, Layout
 from benchmarks.accuracy.recall import SETS
-from benchmarks.machine import conditions, in_a_line, in_fresh_process, peak_memory
+from benchmarks.machine import conditions, in_a_line
 from benchmarks.options import TRAIN, benchmark_parser
 from salad.datasets.places import find_places
 from salad.images.photo import Photo
@@ -103,31 +106,12 @@ def found(index: Index, queries: Half) -> npt.NDArray[np.int64]:
     return np.array([[match.row for match in best] for best in index.search(queries, k=K, centred=True)])
 
 
-def alone(index: Path, queries: Half, candidates: int, rounds: int) -> dict[str, float]:
-    """Milliseconds a query, asked one by one, and the memory of it; to be called in a process of its own.
-
-    Without candidates, searches are exact.
-    """
-    searcher = None if candidates else ExactSearcher
-    compressed.CANDIDATES = candidates
-    before = peak_memory()
-    began = time.perf_counter()
-    with Index.open(index, searcher=searcher) as opened:
-        ready = time.perf_counter()
-        opened.search(queries[:1], k=K, centred=True)
-        figures = {"open": 1e3 * (ready - began), "first": 1e3 * (time.perf_counter() - ready)}
-        figures["memory, first"] = peak_memory() / 1e6
-        for query in queries[:5]:
-            opened.search(query, k=K, centred=True)
-        taken = []
-        for number in range(rounds):
-            asked = queries[number % len(queries)]
-            begun, spent = time.perf_counter(), time.process_time()
-            opened.search(asked, k=K, centred=True)
-            taken.append((1e3 * (time.perf_counter() - begun), 1e3 * (time.process_time() - spent)))
-    wall, processor = np.array(taken).T
-    figures |= {"best": wall.min(), "median": float(np.median(wall)), "processor": float(np.median(processor))}
-    return figures | {"memory": peak_memory() / 1e6, "memory before": before / 1e6}
+def alone(index: Path, queries: Path, candidates: int, rounds: int) -> dict[str, float]:
+    """What `one_query` says."""
+    options = ["--candidates", str(candidates), "--rounds", str(rounds)]
+    command = [sys.executable, "-m", "benchmarks.speed.one_query", str(index), str(queries), *options]
+    said: dict[str, float] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    return said
 
 
 def shown(name: str, recall: str, figures: dict[str, float]) -> str:
@@ -146,14 +130,16 @@ def main() -> None:
     parser.add_argument("--bytes", type=int, nargs="+", default=[256, 128, 64])
     parser.add_argument("--candidates", type=int, nargs="+", default=[200, compressed.CANDIDATES, 1000])
     parser.add_argument("--queries", type=int, default=300, help="of each kind, evenly spread")
-    parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--rounds", type=int, default=100)
     given = parser.parse_args()
     what = asked(given.descriptors, given.train, seed=SEED)
     queries = np.concatenate(
         [rows[np.linspace(0, len(rows) - 1, given.queries).astype(int)] for rows in what.queries.values()]
     )
     kinds = {name: slice(n * given.queries, (n + 1) * given.queries) for n, name in enumerate(what.queries)}
-    folder = given.scratch / f"{given.photos}.index"
+    folder, saved = given.scratch / f"{given.photos}.index", given.scratch / "queries.npy"
+    given.scratch.mkdir(parents=True, exist_ok=True)
+    np.save(saved, queries)
     print(in_a_line(conditions("numkong", "numpy", seed=SEED, threads=processors(), photos=given.photos)), flush=True)
     make(folder, what, given.photos, seed=SEED)
     best = truth(folder, given.scratch / f"{given.photos}-{given.queries}.npy", queries)
@@ -175,10 +161,10 @@ def main() -> None:
             compressed.CANDIDATES = candidates
             with Index.open(folder) as index:
                 same = (found(index, queries)[:, None] == best[:, :, None]).any(axis=2)
-            figures = in_fresh_process(alone, folder, queries, candidates, given.rounds)
+            figures = alone(folder, saved, candidates, given.rounds)
             recall = " | ".join(f"{same[those].mean():.4f}" for those in kinds.values())
             print(shown(f"{size} bytes, {candidates} candidates", recall, figures), flush=True)
-    figures = in_fresh_process(alone, folder, queries, 0, 3)
+    figures = alone(folder, saved, 0, 3)
     print(shown("exact", " | ".join("1" for _ in kinds), figures), flush=True)
 
 

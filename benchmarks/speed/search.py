@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.machine import conditions, in_a_line, peak_memory, turns
 from benchmarks.options import benchmark_parser
 from salad.index.vectors import FileRows
-from salad.search.base import Hits
+from salad.search.base import Hits, Searcher
 from salad.search.exact import ExactSearcher
 
 SEED = 0
@@ -63,7 +63,7 @@ def main() -> None:
             print(f"{count} queries, ms a query: {figures}; memory {peak_memory() / 1e6:.0f} MB at most")
 
 
-def swept(searcher: ExactSearcher, rows: FileRows, queries: np.ndarray, k: int) -> Hits:
+def swept(searcher: Searcher, rows: FileRows, queries: np.ndarray, k: int) -> Hits:
     """As an index searches: rows of a small one stay in memory from the second sweep on."""
     rows.keep()
     return searcher.search(queries, k=k)

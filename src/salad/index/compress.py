@@ -7,6 +7,7 @@ locked. Killed or interrupted, it goes on behind the last stage. Until all rows 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,9 +131,9 @@ def _serving(table: CodeTable, seen: Snapshot, size: int) -> CodeSet | None:
     """The file of most rows that is of the right size, of this matrix, not outgrown, and where it should be."""
     photos = int(np.count_nonzero(seen.alive))
     for each in table.sets(matrix=seen.rows.path.name):
-        # The file's length is looked at here, its content when it is read.
-        path = table.folder / each.file
-        whole = path.exists() and path.stat().st_size >= each.rows * each.size
+        whole = False
+        with suppress(OSError):  # its length is looked at here, its content when it is read
+            whole = (table.folder / each.file).stat().st_size >= each.rows * each.size
         if each.size == size and whole and photos < OUTGROWN * max(1, each.seen):
             return each
     return None

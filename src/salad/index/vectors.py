@@ -129,11 +129,19 @@ class FileRows:
             return 0
         stored = out[:wanted] if self._stored == self.dtype else np.empty((wanted, self.dim), self._stored)
         size = self.dim * self._stored.itemsize
-        raw = stored.reshape(-1).view(np.uint8).data  # bytes, whatever order a foreign file has them in
+        # Bytes, whatever order a foreign file has them in.
+        done = self._fill(stored.reshape(-1).view(np.uint8).data, self._start + start * size)
+        if stored.dtype != out.dtype:
+            with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and told as such
+                out[: done // size] = stored[: done // size]
+        return done // size
+
+    def _fill(self, raw: memoryview, place: int) -> int:
+        """Fill `raw` from byte `place` of the file on; how many bytes there were."""
         done = 0
         try:
             while done < len(raw):
-                got = self._read_at(self._start + start * size + done, raw[done:])
+                got = self._read_at(place + done, raw[done:] if done else raw)
                 if not got:  # somebody cut the file short after it was opened
                     break
                 done += got
@@ -141,10 +149,7 @@ class FileRows:
             raise StoreError(
                 f"{self.path} cannot be read ({error.strerror}): check the disk, and restore the index if it is failing"
             ) from error
-        if stored.dtype != out.dtype:
-            with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and told as such
-                out[: done // size] = stored[: done // size]
-        return done // size
+        return done
 
     def _read_at(self, place: int, raw: memoryview) -> int:
         if hasattr(os, "preadv"):
@@ -195,14 +200,29 @@ class FileRows:
         if kept is not None and ((wanted >= 0) & (wanted < self.held)).all() and kept[1][wanted].all():
             return kept[0][wanted]
         out = np.empty((len(wanted), self.dim), dtype=self.dtype)
-        ends = np.flatnonzero(np.diff(wanted) != 1) + 1  # rows that follow one another are read at once
-        for low, high in zip([0, *ends], [*ends, len(wanted)], strict=True):
-            if low < high and (wanted[low] < 0 or self.read(int(wanted[low]), out[low:high]) < high - low):
-                raise StoreError(
-                    f"{self.path} is truncated (it holds {self.held} descriptors, {self.rows} were "
-                    "committed): 'salad verify' names the photos hit"
-                )
+        within = not len(wanted) or (wanted.min() >= 0 and wanted.max() < self.held)
+        if not within or not self._gather(wanted, out):
+            raise StoreError(
+                f"{self.path} is truncated (it holds {self.held} descriptors, {self.rows} were "
+                "committed): 'salad verify' names the photos hit"
+            )
         return out
+
+    def _gather(self, wanted: npt.NDArray[np.int64], out: Block) -> bool:
+        """Read rows from all over the file, those that follow one another at once; False where some are gone."""
+        stored = out if self._stored == self.dtype else np.empty(out.shape, self._stored)
+        raw, size = stored.reshape(-1).view(np.uint8).data, self.dim * self._stored.itemsize
+        ends = (np.flatnonzero(np.diff(wanted) != 1) + 1).tolist()
+        lows = [0, *ends] if len(wanted) else []
+        firsts = wanted[lows].tolist()  # plain numbers: a search takes hundreds of rows
+        for low, high, first in zip(lows, [*ends, len(wanted)], firsts, strict=False):
+            part = raw[low * size : high * size]
+            if self._fill(part, self._start + first * size) < len(part):
+                return False
+        if stored is not out:
+            with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and told as such
+                out[:] = stored
+        return True
 
     def blocks(self, *, numbers: int = _BLOCK) -> Iterator[tuple[int, Block]]:
         """All rows held, about `numbers` numbers at a time.

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
+from queue import SimpleQueue
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
 
@@ -46,7 +47,7 @@ Half: TypeAlias = npt.NDArray[np.float16]
 
 CANDIDATES = 500  # rows of each query that are scored exactly: benchmarks/speed/compressed.py compares others
 SAMPLE = 8192  # rows that a coding is fitted on
-BLOCK = 1 << 22  # bytes of codes in a block
+BLOCK = 1 << 24  # bytes of codes in a block
 _SPARE = 20  # candidates for each match, where many matches are asked for
 _FEW = 4  # times as many rows as there are candidates are scored at once: to ask their codes first would take longer
 _REACH = 4.0  # standard deviations that a byte tells apart in the widest direction
@@ -197,13 +198,16 @@ class CompressedSearcher:
         self._exact = ExactSearcher(rows, threads=threads)
 
     @classmethod
-    def of(cls, rows: Rows, *, size: int = 256, candidates: int | None = None, seed: int = 0) -> Self:
+    def of(
+        cls, rows: Rows, *, size: int = 256, candidates: int | None = None, threads: int | None = None, seed: int = 0
+    ) -> Self:
         """One that makes codes of its own, in memory; `SearcherFactory` for whoever has no index.
 
         Raises:
             DamagedRowError: If a row may have any length and has none.
         """
-        return cls(rows, ArrayCodes(Coding.fitted(rows, size=size, seed=seed), rows), candidates=candidates)
+        codes = ArrayCodes(Coding.fitted(rows, size=size, seed=seed), rows)
+        return cls(rows, codes, candidates=candidates, threads=threads)
 
     @property
     def dim(self) -> int:
@@ -244,9 +248,13 @@ class CompressedSearcher:
         threads = max(1, min(self._threads, blocks, len(self._codes) * size * len(queries) // _WORK))
         without: list[slice] = [slice(len(self._codes), len(self))]
 
-        def sweep(thread: int) -> None:
+        todo: SimpleQueue[int | None] = SimpleQueue()  # blocks that nobody has begun; behind them, an end for each
+        for number in [*range(blocks), *[None] * threads]:
+            todo.put(number)
+
+        def sweep(_: int) -> None:
             spare: Bytes = np.empty((min(step, len(self._codes)), size), np.int8)
-            for number in range(thread, blocks, threads):
+            for number in iter(todo.get, None):
                 here = slice(number * step, min((number + 1) * step, len(self._codes)))
                 may = None if allowed is None else allowed[here]
                 if may is not None and not may.any():
@@ -315,6 +323,8 @@ class _Best:
             allowed_scores = np.where(near, scores, np.iinfo(np.int32).min)
             near &= scores >= np.partition(allowed_scores, behind, axis=0)[behind]
         flat = np.flatnonzero(near)
+        if not len(flat):
+            return
         row, query = np.divmod(flat, self._queries)
         with self._lock:
             self._new.append(np.stack([query, row + first, scores.reshape(-1)[flat]]))
