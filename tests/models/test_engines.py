@@ -17,15 +17,17 @@ import torch
 from safetensors.numpy import load_file
 
 import salad
-from salad.errors import ModelError, WeightsError
+from salad.errors import MissingExtraError, ModelError, WeightsError
 from salad.models.describer import Describer
-from salad.models.engines import Engine
+from salad.models.engines import Engine, EngineName
 from salad.models.fake import FakeEngine
 from salad.models.model_folder import add_graph, load, write_folder
+from salad.models.quantize import Reduced, quantized
 from salad.models.torch_engine import TorchEngine
 from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.baseline_config import GemConfig, NetVladConfig
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
+from salad.network.export import made_pictures
 from salad.network.network import Network, build, evaluating
 
 SALAD = SaladConfig(16, clusters=4, cluster_dim=3, scene_dim=5, hidden=8)
@@ -42,12 +44,29 @@ def _torch(config: ModelConfig) -> Callable[[], Engine]:
 _FOLDERS = tempfile.TemporaryDirectory(prefix="salad-engines-")  # of exported models, for as long as the tests run
 
 
-def _onnx(config: ModelConfig) -> Callable[[], Engine]:
+def _onnx(config: ModelConfig, name: EngineName = "onnx") -> Callable[[], Engine]:
     def engine() -> Engine:
         folder = Path(_FOLDERS.name) / hashlib.sha256(repr(config).encode()).hexdigest()[:8]
         if not folder.exists():
             add_graph(write_folder(build(config), folder, dtype="float16"))
-        return load(folder, engine="onnx").engine
+        try:
+            return load(folder, engine=name).engine
+        except MissingExtraError as error:
+            pytest.skip(str(error))
+
+    return engine
+
+
+def _quantized(config: ModelConfig, precision: Reduced) -> Callable[[], Engine]:
+    def engine() -> Engine:
+        given = _onnx(config, "openvino")()
+        learnt = made_pictures(config.preprocessing, 16)
+        made = quantized(Describer(config, given), learnt, precision=precision).engine
+        try:
+            made.run(learnt[:1])
+        except ModelError as error:
+            pytest.skip(str(error))  # where the processor has no such instructions, which the sentence says
+        return made
 
     return engine
 
@@ -64,6 +83,14 @@ ENGINES: dict[str, Callable[[], Engine]] = {
     "onnx, lite": _onnx(LITE),
     "onnx, no plan": _onnx(PLAIN),
     "onnx, route": _onnx(ROUTE),
+    "openvino, vit": _onnx(VIT, "openvino"),
+    "openvino, lite": _onnx(LITE, "openvino"),
+    "openvino, no plan": _onnx(PLAIN, "openvino"),
+    "openvino, route": _onnx(ROUTE, "openvino"),
+    "openvino, vit in bf16": _quantized(VIT, "bf16"),
+    "openvino, lite in bf16": _quantized(LITE, "bf16"),
+    "openvino, vit in int8": _quantized(VIT, "int8"),
+    "openvino, lite in int8": _quantized(LITE, "int8"),
 }
 
 

@@ -137,7 +137,7 @@ def test_a_folder_without_its_files_is_no_model(folder: Path, lost: str) -> None
         ("3", "cannot be read"),
         ("{}", "cannot be read"),
         ('{"format": 1}', "cannot be read"),
-        ('{"format": 99}', "has format 99, this salad reads 1: upgrade"),
+        ('{"format": 99}', "has format 99, this salad reads 1 and 2: upgrade"),
         (b"\xff\xfe", "cannot be read"),
     ],
 )

@@ -83,7 +83,7 @@ def test_what_ships_is_small_and_its_own(name: str) -> None:
 
 
 def test_it_says_which_engine_and_why(folder: Path) -> None:
-    expected = (("auto", "onnx", "fastest"), ("onnx", "onnx", "asked for"), ("torch", "torch", "asked for"))
+    expected = (("auto", "onnx", "ready at once"), ("onnx", "onnx", "asked for"), ("torch", "torch", "asked for"))
     for asked, name, why in expected:
         choice = load(folder, engine=asked).engine_choice
         assert choice is not None

@@ -38,7 +38,7 @@ Share = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")]
 File = Annotated[str | None, arg(metavar="FILE", help_behavior_hint="")]
 Format = Annotated[Literal["table", "json"], arg(help="For people or for programs.")]
 Engine = Annotated[
-    Literal["auto", "onnx", "torch"],
+    Literal["auto", "onnx", "openvino", "torch"],
     arg(help="What runs the model; auto takes what is fastest and computes the same."),
 ]
 Threads = Annotated[

@@ -129,8 +129,14 @@ class Describer:
 
         Raises:
             WeightsError: If the weights do not fit the configuration.
+            ModelError: If the model does not compute in float32.
             MissingExtraError: If torch is not installed.
         """
+        if self.config.precision != "float32":
+            raise ModelError(
+                f"the model {self.name} computes in {self.config.precision} and has no torch module: take the model it "
+                "was made of"
+            )
         if not isinstance(self.engine, TorchEngine):
             given = self.engine
             engine = TorchEngine(self.config, given.weights, source=Path(self.name), device=given.device)

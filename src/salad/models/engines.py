@@ -14,19 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from salad.errors import ModelError
-from salad.network.config import Output
+from salad.network.config import Output, Precision
 
 Weights = Mapping[str, Any]
 """Arrays under the names they have in `model.safetensors`."""
 Photos = npt.NDArray[np.uint8]
 """RGB `[batch, height, width, 3]`."""
-EngineName = Literal["auto", "onnx", "torch"]
+EngineName = Literal["auto", "onnx", "openvino", "torch"]
 """What a user may ask for."""
 Outputs = dict[Output, npt.NDArray[np.float32]]
 """Arrays whose first axis is the batch's."""
@@ -97,30 +97,41 @@ class Choice(NamedTuple):
     """Which engine runs a model, and why it is that one, for whoever wonders.
 
     Args:
-        name: `onnx` or `torch`.
+        name: `onnx`, `openvino` or `torch`.
         why: A clause.
+        open: Whether a long run may look for a faster one (`salad.models.engine_choice`).
     """
 
-    name: Literal["onnx", "torch"]
+    name: Literal["onnx", "openvino", "torch"]
     why: str
+    open: bool = False
 
 
-def choose(asked: EngineName, *, graph: bool, device: str = "cpu") -> Choice:
-    """The engine for a model; where `auto` is asked for, one that computes in float32.
+def choose(asked: EngineName, *, graph: bool, precision: Precision = "float32", device: str = "cpu") -> Choice:
+    """The engine for a model; where `auto` is asked for, one that computes in float32 and is ready at once.
 
     Args:
         asked: What the user wants.
         graph: Whether there is a graph of the model.
+        precision: What the model computes in.
         device: Where it is to run, as torch names it.
 
     Raises:
         ModelError: If there is no such engine, or it cannot run the model.
     """
-    if asked not in ("auto", "onnx", "torch"):
-        raise ModelError(f"there is no engine {asked!r}: give auto, onnx or torch")
-    if asked == "onnx" and not graph:
+    if asked not in get_args(EngineName):
+        raise ModelError(f"there is no engine {asked!r}: give {', '.join(get_args(EngineName))}")
+    reduced = precision != "float32"
+    if reduced and asked not in ("auto", "openvino"):
+        raise ModelError(f"a model in {precision} runs by OpenVINO alone: ask for the engine auto, and not for {asked}")
+    if (reduced or asked == "openvino") and device != "cpu":
+        raise ModelError(f"OpenVINO runs a model on the processor alone: give the device cpu, and not {device!r}")
+    if reduced:
+        return Choice("openvino", f"nothing else runs a model in {precision}")
+    if asked in ("onnx", "openvino") and not graph:
         raise ModelError(
-            "the engine onnx runs a model by its graph.onnx, and this one has none: write it with 'salad weights graph'"
+            f"the engine {asked} runs a model by its graph.onnx, and this one has none: write it with "
+            "'salad weights graph'"
         )
     if asked != "auto":
         return Choice(asked, "it was asked for")
@@ -128,4 +139,4 @@ def choose(asked: EngineName, *, graph: bool, device: str = "cpu") -> Choice:
         return Choice("torch", "the model has no graph.onnx")
     if device != "cpu" and find_spec("torch") is not None:
         return Choice("torch", f"it runs on {device}")
-    return Choice("onnx", "it is the fastest everywhere that computes in float32")
+    return Choice("onnx", "it is ready at once and computes in float32", open=device == "cpu")

@@ -28,11 +28,12 @@ from salad.models import hub
 from salad.models.describer import Describer, PhotoLike, squeezed
 from salad.models.engines import Engine, EngineName, Weights, choose
 from salad.models.onnx_engine import OnnxEngine
+from salad.models.openvino_engine import OpenVinoEngine
 from salad.models.torch_engine import TorchEngine, check_published, published_network, write_graph
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 WEIGHTS, CONFIG, GRAPH = "model.safetensors", "config.json", "graph.onnx"
-FORMAT = 1
+FORMAT, QUANTIZED = 1, 2  # the second came with models that do not compute in float32, which older versions refuse
 CHECKED_ON = 10  # photos that a graph is compared with torch on
 
 Checksums = dict[str, str]
@@ -69,8 +70,9 @@ def load(
         spec: A name of the zoo, a folder of ours, or a published file.
         device: Where to run, as torch names it: `cpu`, `mps`, or an accelerator with its number.
         heads: Attention heads of a published file, which the file itself cannot say; width / 64 by default.
-        engine: What runs it: `onnx` (ONNX Runtime), `torch`, or `auto`, which chooses what is fastest and computes the
-            same; `Describer.engine_choice` says which, and why.
+        engine: What runs it: `onnx` (ONNX Runtime), `openvino` (the extra `fast`), `torch`, or `auto`, which chooses
+            one that computes in float32, or what the model was quantized for; `Describer.engine_choice` says which,
+            and why.
         threads: How many a batch is spread over; what the engine thinks best where not given.
 
     Raises:
@@ -108,12 +110,15 @@ def read_folder(
     """
     config, checksums = _read_config(folder)
     _check_files(folder, checksums)
-    choice = choose(engine, graph=GRAPH in checksums, device=device)
+    choice = choose(engine, graph=GRAPH in checksums, precision=config.precision, device=device)
     file, read = folder / WEIGHTS, partial(_read_weights, folder / WEIGHTS)
     runs: Engine
     if choice.name == "onnx":
         runs = OnnxEngine(config, folder / GRAPH, read, device=device, threads=threads)
         _ = runs.session  # now, so that damaged files are said of here and not at the first photo
+    elif choice.name == "openvino":
+        runs = OpenVinoEngine(config, folder / GRAPH if GRAPH in checksums else file, read, threads=threads)
+        _ = runs.compiled
     else:
         runs = TorchEngine(config, read, source=file, device=device, threads=threads)
         with suppress(MissingExtraError):
@@ -248,18 +253,29 @@ def _read_config(folder: Path) -> tuple[ModelConfig, Checksums]:
         settings = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
         # Before anything else is read of it: a newer format may mean something else by the same words.
         version = settings.pop("format")
-        if version != FORMAT:
-            raise WeightsError(f"{folder / CONFIG} has format {version}, this salad reads {FORMAT}: upgrade salad-vpr")
+        if version not in (FORMAT, QUANTIZED):
+            raise WeightsError(
+                f"{folder / CONFIG} has format {version}, this salad reads {FORMAT} and {QUANTIZED}: upgrade salad-vpr"
+            )
         # Left out where there is no graph, for older versions refuse a setting that they do not know.
         checksums = dict(settings.pop("files", {}))
-        return ModelConfig.from_dict(settings), checksums
+        config = ModelConfig.from_dict(settings)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
         raise WeightsError(f"{folder / CONFIG} cannot be read: {error}") from error
+    if version != _format_of(config):
+        raise WeightsError(
+            f"{folder / CONFIG} has format {version}, which is not that of a model in {config.precision}"
+        )
+    return config, checksums
 
 
 def _config_text(config: ModelConfig, checksums: Checksums | None = None) -> str:
     files = {"files": checksums} if checksums else {}
-    return json.dumps({"format": FORMAT, **config.as_dict(), **files}, indent=2) + "\n"
+    return json.dumps({"format": _format_of(config), **config.as_dict(), **files}, indent=2) + "\n"
+
+
+def _format_of(config: ModelConfig) -> int:
+    return FORMAT if config.precision == "float32" else QUANTIZED
 
 
 def _check_files(folder: Path, checksums: Checksums) -> None:

@@ -41,7 +41,7 @@ class OnnxEngine:
         threads: int | None = None,
     ) -> None:
         self.config, self.threads = config, threads or processors()
-        self._graph, self._read, self._device = graph, read, str(device)
+        self.graph, self._read, self._device = graph, read, str(device)
         self._session: InferenceSession | None = None
         self._one_thread_a_photo = False
         self._loading = threading.Lock()
@@ -82,21 +82,21 @@ class OnnxEngine:
         options.intra_op_num_threads = threads
         # A thread that spins while it waits takes the core from the worker that reads the next photo.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        weights = self._graph.with_name("model.safetensors")
+        weights = self.graph.with_name("model.safetensors")
         if weights.is_symlink():
             # The runtime reads no file that lies outside the graph's folder, and this one may; its bytes it takes.
             held = weights.read_bytes()
             options.add_external_initializers_from_files_in_memory([weights.name], [held], [len(held)])
         provider = _provider(self._device, onnxruntime.get_available_providers())
         try:
-            session = onnxruntime.InferenceSession(self._graph, options, providers=[provider])
+            session = onnxruntime.InferenceSession(self.graph, options, providers=[provider])
         except Exception as error:  # the runtime's errors have no common ancestor
-            raise WeightsError(f"{self._graph} cannot be run: {str(error).splitlines()[0]}") from error
+            raise WeightsError(f"{self.graph} cannot be run: {str(error).splitlines()[0]}") from error
         made_of = session.get_modelmeta().custom_metadata_map.get(SETTINGS, "null")
         # A setting changed by hand, the size or the colours' mean, would change the fingerprint and nothing else.
         if made_of != json.dumps(self.config.counted, sort_keys=True):
             raise WeightsError(
-                f"{self._graph} was made of other settings than the config.json beside it has: write it anew with "
+                f"{self.graph} was made of other settings than the config.json beside it has: write it anew with "
                 "'salad weights graph'"
             )
         return session

@@ -119,6 +119,8 @@ VITS: dict[str, ViTConfig] = {
 
 Output = Literal["descriptor", "patches", "cls", "plan"]
 """What a model gives: see `salad.models.engines`."""
+Precision = Literal["float32", "bf16", "int8"]
+"""What a model computes in; but for the first, such a model is one of its own, with a fingerprint of its own."""
 # What an exported graph calls its input, and what it says its settings under: as long as there are graphs on disk.
 PHOTOS, SETTINGS = "photos", "salad.settings"
 # What every backbone here was trained with.
@@ -245,7 +247,11 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """A whole model: what it is made of, how photos are prepared for it, where it comes from, how sure it is."""
+    """A whole model: what it is made of, how photos are prepared for it, where it comes from, how sure it is.
+
+    Raises:
+        ModelError: If there is no such precision.
+    """
 
     name: str
     backbone: BackboneConfig
@@ -254,6 +260,11 @@ class ModelConfig:
     provenance: str = ""
     licence: str = ""
     calibration: Calibration | None = None
+    precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        if self.precision not in get_args(Precision):
+            raise ModelError(f"precision {self.precision!r} is unknown: give one of {', '.join(get_args(Precision))}")
 
     @property
     def outputs(self) -> tuple[Output, ...]:
@@ -264,8 +275,8 @@ class ModelConfig:
     @property
     def counted(self) -> dict[str, Any]:
         """The settings that say what is computed, as JSON holds them: a change of one makes another model."""
-        settings = self.as_dict()
-        return {part: settings[part] for part in ("backbone", "aggregator", "preprocessing")}
+        settings, parts = self.as_dict(), ("backbone", "aggregator", "preprocessing", "precision")
+        return {part: settings[part] for part in parts if part in settings}
 
     def fingerprint(self, weights: Mapping[str, Any]) -> str:
         """What tells this model with these weights from every other, as indexes keep it: 16 hexadecimal digits.
@@ -285,8 +296,13 @@ class ModelConfig:
         return digest.hexdigest()[:16]
 
     def as_dict(self) -> dict[str, Any]:
-        """This configuration as JSON holds it; a model nobody has calibrated says nothing of that."""
+        """This configuration as JSON holds it.
+
+        A model nobody has calibrated says nothing of that, and one that computes in float32 nothing of its precision.
+        """
         settings = {**dataclasses.asdict(self), "aggregator": self.aggregator.as_settings()}
+        if self.precision == "float32":
+            del settings["precision"]
         if self.calibration is None:
             del settings["calibration"]
         else:
