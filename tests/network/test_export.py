@@ -28,7 +28,7 @@ from salad.network.baseline_config import (
     VladConfig,
 )
 from salad.network.config import ConvNextConfig, LiteConfig, ModelConfig, Preprocessing, ResNetConfig, ViTConfig
-from salad.network.export import check_graph, export_graph, made_pictures
+from salad.network.export import check_file, check_graph, export_file, export_graph, made_pictures
 from salad.network.network import Network, build
 
 SALAD = SaladConfig(16, clusters=4, cluster_dim=3, scene_dim=5, hidden=8)
@@ -223,3 +223,25 @@ def test_neither_the_exporter_nor_a_mode_shows_afterwards(tmp_path: Path, capfd:
     check_graph(network, folder / "graph.onnx", made_pictures(SIZE))  # dropout is not in the graph
     assert set(folder.iterdir()) - before == {folder / "graph.onnx"}
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_one_file_keeps_the_contract_of_colmap_and_gives_what_the_network_gives(
+    normalised: bool, tmp_path: Path
+) -> None:
+    network, file = build(VIT, seed=3), tmp_path / "model.onnx"
+    photos = made_pictures(network.config.preprocessing)
+    export_file(network, file, normalised=normalised)
+    check_file(network, file, photos, normalised=normalised)
+    with pytest.raises(ModelError, match=r"the graph of model\.onnx is wrong, and is not kept: its descriptors are at"):
+        check_file(network, file, photos, normalised=not normalised)
+    graph = onnx.load(file, load_external_data=False).graph
+    (takes,), (gives,) = graph.input, graph.output
+    size = network.config.preprocessing
+    assert (takes.name, gives.name) == ("images", "descriptor")
+    shape = takes.type.tensor_type.shape.dim
+    assert shape[0].dim_param
+    assert [side.dim_value for side in shape[1:]] == [3, size.height, size.width]
+    assert gives.type.tensor_type.shape.dim[1].dim_value == network.config.aggregator.dim
+    assert not any(tensor.external_data for tensor in graph.initializer)
+    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]

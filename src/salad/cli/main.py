@@ -28,6 +28,8 @@ COMMANDS = {  # in the order of `salad --help`: the file in `salad.cli` and the 
     "evaluate": "evaluate_command:EvaluateCommand",
     "datasets": "datasets_command:DatasetsCommand",
     "weights": "weights_command:WeightsCommand",
+    "quantize": "quantize_command:QuantizeCommand",
+    "export-model": "export_model_command:ExportModelCommand",
     "places": "places_command:PlacesCommand",
     "train": "train_command:TrainCommand",
     "compare": "compare_command:CompareCommand",

@@ -29,7 +29,7 @@ from salad.models.describer import Describer, PhotoLike, squeezed
 from salad.models.engines import Engine, EngineName, Weights, choose
 from salad.models.onnx_engine import OnnxEngine
 from salad.models.openvino_engine import OpenVinoEngine
-from salad.models.torch_engine import TorchEngine, check_published, published_network, write_graph
+from salad.models.torch_engine import TorchEngine, check_published, published_network, write_file, write_graph
 from salad.network.config import Calibration, ModelConfig, Preprocessing
 
 WEIGHTS, CONFIG, GRAPH = "model.safetensors", "config.json", "graph.onnx"
@@ -221,6 +221,28 @@ def add_graph(folder: str | Path, photos: Sequence[PhotoLike] = ()) -> Path:
             draft.unlink(missing_ok=True)
     _rewrite_config(folder, config, checksums, what="the graph")
     return folder / GRAPH
+
+
+def write_onnx(model: Describer, to: str | Path, photos: Sequence[PhotoLike] = (), *, normalised: bool = False) -> Path:
+    """Write a model as one ONNX file by COLMAP's contract, all weights in it; it is checked against torch first.
+
+    Args:
+        model: What to write, in float32.
+        to: The file; another one there is replaced.
+        photos: To check it on: ten of them, evenly spread, and made pictures where fewer can be read.
+        normalised: Whether the file is to be fed with images that are normalised by the model's mean and deviation,
+            rather than with RGB / 255.
+
+    Raises:
+        WeightsError: If it cannot be written.
+        ModelError: If the model cannot be exported, or the file computes anything else than torch does.
+        MissingExtraError: If torch or its exporter is not installed.
+    """
+    try:
+        write_file(model.network, Path(to), _checked_on(photos, model.preprocessing), normalised=normalised)
+    except OSError as error:
+        raise WeightsError(f"the model cannot be written to {to}: {error}") from error
+    return Path(to)
 
 
 def _checked_on(photos: Sequence[PhotoLike], size: Preprocessing) -> list[np.ndarray]:

@@ -150,6 +150,26 @@ def check_published() -> None:
         import torch  # noqa: F401  # whether it can be
 
 
+def write_file(network: Network, to: Path, photos: Sequence[np.ndarray] = (), *, normalised: bool = False) -> None:
+    """Write a network as one file by COLMAP's contract and check it; what is wrong does not stay.
+
+    Raises:
+        MissingExtraError: If torch or its exporter is not installed.
+        ModelError: If the network cannot be exported, or the file computes anything else.
+        OSError: If it cannot be written.
+    """
+    from salad.network.export import check_file, export_file, made_pictures
+
+    draft = to.with_name(f".{to.name}.part")
+    try:
+        export_file(network, draft, normalised=normalised)
+        checked_on = np.stack([*photos, *made_pictures(network.config.preprocessing)])
+        check_file(network, draft, checked_on, normalised=normalised)
+        draft.replace(to)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
 def write_graph(network: Network, weights: Path, to: Path, photos: Sequence[np.ndarray] = ()) -> None:
     """Write a network's graph and check it, on made pictures where photos are too few; what is wrong does not stay.
 

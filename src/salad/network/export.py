@@ -15,14 +15,14 @@ import json
 import logging
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from salad.errors import ModelError, needs_extra
@@ -31,6 +31,7 @@ from salad.network.network import Network, evaluating
 
 if TYPE_CHECKING:
     import onnx_ir as ir
+    from onnxruntime import InferenceSession
 
 OPSET = 20  # Gelu came with it; the runtimes of 2024 know it
 COSINE = 0.99999  # of a descriptor by the graph and by the network, at least
@@ -62,22 +63,96 @@ def export_graph(network: Network, weights: Path, to: Path) -> None:
         MissingExtraError: If the exporter is not installed.
         ModelError: If the network cannot be exported.
     """
-    with needs_extra("exporting a model", "torch"):
-        import onnx_ir as ir
-        import onnxscript  # noqa: F401  # the exporter's own library, which it would ask for in words of its own
-
     size = network.config.preprocessing
     # Two photos: with one, the exporter may take the batch for a constant.
     example = torch.zeros(2, size.height, size.width, 3, dtype=torch.uint8, device=network.device)
+    model = _exported(network, _Graph(network), example, PHOTOS, network.config.outputs)
+    _point_into(weights, model.graph)
+    model.metadata_props[SETTINGS] = json.dumps(network.config.counted, sort_keys=True)
+    _save(model, to)
+
+
+def export_file(network: Network, to: Path, *, normalised: bool = False) -> None:
+    """Write a network as one file with all its weights, by COLMAP's contract; run `check_file` before it is trusted.
+
+    Its input is `images`, float32 `[-1, 3, height, width]` of RGB, its output `descriptor`, float32 `[-1, dim]`.
+
+    Args:
+        network: What to export; its photos' size is the file's.
+        to: The file to write.
+        normalised: Whether images come normalised by the model's mean and deviation, rather than as RGB / 255.
+
+    Raises:
+        MissingExtraError: If the exporter is not installed.
+        ModelError: If the network cannot be exported.
+    """
+    size = network.config.preprocessing
+    example = torch.zeros(2, 3, size.height, size.width, device=network.device)
+    model = _exported(network, _Normalising(network, normalised), example, "images", ["descriptor"])
+    # Whoever finds the file alone should learn from it what to feed it with.
+    told = {"width": size.width, "height": size.height, "resample": size.resample, "mean": size.mean, "std": size.std}
+    model.metadata_props["salad.input"] = json.dumps({**told, "normalised": normalised})
+    model.metadata_props["salad.model"] = f"{network.config.name} {network.fingerprint}"
+    _save(model, to)
+
+
+def check_file(
+    network: Network, file: Path, photos: UInt8[np.ndarray, "n height width 3"], *, normalised: bool = False
+) -> None:
+    """Run a file that `export_file` wrote beside the network, in batches of several sizes.
+
+    Raises:
+        ModelError: If it cannot be run, or computes anything else.
+    """
+    size = network.config.preprocessing
+    images = photos.transpose(0, 3, 1, 2).astype(np.float32) / 255
+    if normalised:
+        mean, std = (np.array(values, np.float32).reshape(3, 1, 1) for values in (size.mean, size.std))
+        images = (images - mean) / std
+    start = 0
+    with _refusing(file.name):
+        session = _session(file)
+        for batch in BATCHES:
+            some = slice(start, start + batch)
+            start += batch
+            (found,) = session.run(["descriptor"], {"images": images[some]})
+            with evaluating(network), torch.no_grad():
+                due = network.outputs(np.ascontiguousarray(photos[some]), ["descriptor"])["descriptor"]
+            _compare("descriptor", found, due.float().cpu().numpy())
+
+
+class _Normalising(nn.Module):
+    """The network for images of RGB / 255, or for images that somebody else has normalised."""
+
+    def __init__(self, network: Network, normalised: bool) -> None:
+        super().__init__()
+        self.network, self.normalised = network, normalised
+
+    def forward(self, images: Float[Tensor, "batch 3 height width"]) -> Tensor:
+        if not self.normalised:
+            images = (images - self.network.mean) / self.network.std
+        descriptors: Tensor = self.network(images)
+        return descriptors
+
+
+def _exported(network: Network, module: nn.Module, example: Tensor, takes: str, gives: Sequence[str]) -> ir.Model:
+    """A module around a network as a graph for any batch.
+
+    Raises:
+        MissingExtraError: If the exporter is not installed.
+        ModelError: If it cannot be exported.
+    """
+    with needs_extra("exporting a model", "torch"):
+        import onnxscript  # noqa: F401  # the exporter's own library, which it would ask for in words of its own
     try:
         with _quiet(), evaluating(network), torch.no_grad():
             program = torch.onnx.export(
-                _Graph(network),
+                module,
                 (example,),
                 dynamo=True,
                 dynamic_shapes=({0: torch.export.Dim.DYNAMIC},),
-                input_names=[PHOTOS],
-                output_names=list(network.config.outputs),
+                input_names=[takes],
+                output_names=list(gives),
                 opset_version=OPSET,
                 optimize=False,  # it would fold weights into constants of the graph's own
                 verbose=False,
@@ -85,11 +160,14 @@ def export_graph(network: Network, weights: Path, to: Path) -> None:
     except Exception as error:  # the exporter raises whatever its parts raise
         raise ModelError(f"the model {network.config.name} cannot be exported: {error}") from error
     assert program is not None
-    model = program.model
-    _tidy(model)
-    _point_into(weights, model.graph)
+    _tidy(program.model)
+    return program.model
+
+
+def _save(model: ir.Model, to: Path) -> None:
+    import onnx_ir as ir
+
     model.producer_name, model.producer_version = "salad", None
-    model.metadata_props[SETTINGS] = json.dumps(network.config.counted, sort_keys=True)
     ir.save(model, to)
 
 
@@ -104,13 +182,9 @@ def check_graph(network: Network, graph: Path, photos: UInt8[np.ndarray, "n heig
     Raises:
         ModelError: If the graph cannot be run, or computes anything else.
     """
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
     start = 0
-    try:
-        session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    with _refusing(network.config.name):
+        session = _session(graph)
         for batch in BATCHES:
             some = np.ascontiguousarray(photos[start : start + batch])
             start += batch
@@ -119,10 +193,25 @@ def check_graph(network: Network, graph: Path, photos: UInt8[np.ndarray, "n heig
                 due = network.outputs(some, network.config.outputs)
             for (name, right), given in zip(due.items(), found, strict=True):
                 _compare(name, given, right.float().cpu().numpy())
+
+
+def _session(graph: Path) -> InferenceSession:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+@contextmanager
+def _refusing(name: str) -> Iterator[None]:
+    """Whatever goes wrong inside is a sentence about the graph of that name."""
+    try:
+        yield
     except ModelError as error:
-        raise ModelError(f"the graph of {network.config.name} is wrong, and is not kept: {error}") from error
+        raise ModelError(f"the graph of {name} is wrong, and is not kept: {error}") from error
     except Exception as error:  # the runtime's errors have no common ancestor
-        raise ModelError(f"the graph of {network.config.name} cannot be run, and is not kept: {error}") from error
+        raise ModelError(f"the graph of {name} cannot be run, and is not kept: {error}") from error
 
 
 def made_pictures(size: Preprocessing, count: int = sum(BATCHES), *, seed: int = 0) -> UInt8[np.ndarray, "n h w 3"]:
