@@ -41,7 +41,7 @@ def commands() -> dict[str, dict[str, str]]:
 
 def _commands(*name: str) -> Iterator[tuple[str, dict[str, str]]]:
     shown = salad_says(*name, "--help").out
-    below = re.match(r"usage: salad[a-z ]* \[-h\]\s+\{([a-z,\s]+)\}", shown)
+    below = re.match(r"usage: salad[a-z -]*? \[-h\]\s+\{([a-z,\s-]+)\}", shown)
     if below:
         for command in re.split(r",\s*", below[1]):
             yield from _commands(*name, command)
