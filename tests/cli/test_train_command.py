@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -190,3 +190,43 @@ def test_a_word_there_is_not_is_refused(cli: Cli, data: Path, tmp_path: Path, ar
     ran = cli("train", "--data", data, "--to", tmp_path / "run", *arguments)
     assert ran.code == 2
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.torch
+class TestPrecision:
+    """bf16 where the processor multiplies it; elsewhere torch would take minutes for a step."""
+
+    @pytest.fixture(autouse=True)
+    def without_bfloat16(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("salad.training.devices._has_bfloat16", lambda: False)
+        preset = PRESETS["tiny"]
+        monkeypatch.setitem(PRESETS, "tiny", replace(preset, recipe=replace(preset.recipe, precision="bf16-mixed")))
+
+    def test_it_is_float32_without_the_instructions_and_that_is_said(
+        self, cli: Cli, data: Path, tmp_path: Path
+    ) -> None:
+        given = ("train", "--preset", "tiny", "--data", data, "--to", tmp_path / "run", "--accelerator", "cpu")
+        ran = cli(*given)
+        assert ran.code == 0, ran.err
+        assert "numbers are held in 32-true, for this processor has no instructions for bf16-mixed" in ran.err
+        assert json.loads((tmp_path / "run" / "config.json").read_text())["recipe"]["precision"] == "32-true"
+        assert cli(*given).code == 0  # the same run, which has ended
+
+    def test_a_run_goes_on_as_it_was_begun(self, tmp_path: Path) -> None:
+        (tmp_path / "config.json").write_text('{"recipe": {"precision": "bf16-mixed"}}')
+        command = TrainCommand(preset="tiny", to=tmp_path, accelerator="cpu")
+        assert command._here(PRESETS["tiny"]).recipe.precision == "bf16-mixed"
+
+    def test_what_is_asked_for_is_what_is_done(self) -> None:
+        command = TrainCommand(preset="tiny", precision="bf16-mixed", accelerator="cpu")
+        assert command._here(command._preset()).recipe.precision == "bf16-mixed"
+
+    @pytest.mark.parametrize("held", ["", "[]", '{"recipe": {"precision": "half"}}'])
+    def test_a_damaged_config_says_nothing_of_it(self, held: str, tmp_path: Path) -> None:
+        (tmp_path / "config.json").write_text(held)
+        command = TrainCommand(preset="tiny", to=tmp_path, accelerator="cpu")
+        assert command._here(PRESETS["tiny"]).recipe.precision == "32-true"
+
+    def test_an_accelerator_keeps_what_the_preset_says(self) -> None:
+        command = TrainCommand(preset="tiny", accelerator="gpu")
+        assert command._here(PRESETS["tiny"]).recipe.precision == "bf16-mixed"

@@ -75,6 +75,18 @@ def check_threads(threads: int | None) -> None:
 # What follows imports as it runs: `salad --help` reads the types above, and is to be there at once.
 
 
+def settle_engine(model: DescriberLike, photos: int) -> None:
+    """Let a model run by the engine that is fastest here, if so many photos are worth finding out; and say which."""
+    from salad.cli import terminal
+    from salad.models.engine_choice import LONG, settle
+
+    if photos < LONG:  # not worth a word either
+        return
+    choice = settle(model, photos=photos)
+    if choice is not None:
+        terminal.say(f"{model.name} runs by {choice.name}: {choice.why}")
+
+
 def is_index(folder: Path) -> bool:
     """Whether there is an index in a folder."""
     from salad.index.index_folder import HEADER_FILE

@@ -23,6 +23,7 @@ from salad.cli.arguments import (
     check_positions,
     check_threads,
     read_positions,
+    settle_engine,
 )
 from salad.errors import BenchmarkError
 
@@ -247,6 +248,7 @@ class EvaluateCommand:
             name = self.called or self.rankings.stem
             return evaluate_rankings(benchmark, self.rankings, name=name, settings=settings), None
         model = self._model()
+        settle_engine(model, len(benchmark.references) + len(benchmark.queries))
         with terminal.progress("describing") as bar:
             result = evaluate(
                 benchmark,

@@ -27,6 +27,7 @@ from salad.cli.arguments import (
     open_or_create,
     positive,
     read_positions,
+    settle_engine,
 )
 from salad.cli.compress_command import keep_compressed
 from salad.errors import SaladError
@@ -78,6 +79,7 @@ class IndexCommand:
         table = read_positions(self.table)
         named = self.model or model_name_for(self.to)
         model = load(named, device=self.device, engine=self.engine, threads=self.threads)
+        settle_engine(model, len(paths))
         with open_or_create(self.to, model) as index:
             done = self._describe(paths, index, model, table)
             gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])

@@ -125,7 +125,7 @@ class TrainCommand:
     nodes: int = 1
     """Machines; start the same command on each."""
     precision: Precision = None
-    """How numbers are held: bf16-mixed, 16-mixed (older graphics cards) or 32-true."""
+    """How numbers are held: bf16-mixed, 16-mixed (older graphics cards) or 32-true; the first where it is quick."""
     board: bool = False
     """Draw curves for TensorBoard into TO/board."""
 
@@ -142,6 +142,7 @@ class TrainCommand:
             from salad.training.devices import first_process
             from salad.training.trainer import train
 
+        preset = self._here(preset)
         places = self._places(data)
         # With several devices this very command runs once for each: the first alone draws a bar and speaks.
         with terminal.progress("training") if first_process() else nullcontext() as bar:
@@ -179,7 +180,7 @@ class TrainCommand:
             from salad.training.dry_run import dry_run
 
         facts = dry_run(
-            preset,
+            self._here(preset),
             None if self.data is None else self._places(self.data),
             start=self.start,
             accelerator=self.accelerator,
@@ -211,6 +212,21 @@ class TrainCommand:
         if "tune_steps" in given and "epochs" not in given:
             given["epochs"] = None  # the preset's epochs would stand in place of the steps asked for
         return replace(chosen, recipe=replace(recipe, **given))
+
+    def _here(self, preset: Preset) -> Preset:
+        """The preset with a precision that this machine computes in, unless one was given or the run has one."""
+        from salad.training.checkpoint import precision_of_run
+        from salad.training.devices import first_process, precision_here
+
+        wanted = preset.recipe.precision
+        begun = None if self.to is None else precision_of_run(self.to)
+        chosen = begun or precision_here(wanted, self.accelerator)
+        if self.precision is not None or chosen == wanted:
+            return preset
+        if first_process():
+            why = "as the run was begun" if begun else f"for this processor has no instructions for {wanted}"
+            terminal.say(f"numbers are held in {chosen}, {why}; --precision says otherwise")
+        return replace(preset, recipe=replace(preset.recipe, precision=chosen))
 
     def _judge(self) -> Judge | None:
         """Recall@1 on a benchmark, where one is named."""

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
@@ -26,7 +26,7 @@ from salad.files import write_whole
 from salad.network.config import ModelConfig
 from salad.network.network import Network
 from salad.training.devices import versions
-from salad.training.recipe import Preset, Recipe, with_defaults
+from salad.training.recipe import Precision, Preset, Recipe, with_defaults
 
 CHECKPOINT, LOG, CONFIG, MODEL, LAST = "last.ckpt", "log.jsonl", "config.json", "model", "last"
 STOPPED = "stopped.json"
@@ -136,6 +136,15 @@ def run_identity(
         "start": Path(start).name,  # its folder may be mounted elsewhere
         "judge": judge,
     }
+
+
+def precision_of_run(folder: Path) -> Precision | None:
+    """How the run that was begun in a folder holds its numbers; None where there is none."""
+    try:
+        held = json.loads((folder / CONFIG).read_text(encoding="utf-8"))["recipe"]["precision"]
+    except (OSError, ValueError, KeyError, TypeError):  # whatever is wrong with it is said where the run is read
+        return None
+    return held if held in get_args(Precision) else None
 
 
 def run_config(preset: Preset, places: Sequence[TrainingPlace], *, start: str, steps: int) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from contextlib import suppress
 from importlib import metadata
 from typing import Any
@@ -53,6 +54,32 @@ def launch_fabric(accelerator: str, precision: Precision, *, devices: int = 1, n
             f"training cannot run on {devices} of {accelerator!r} on {nodes} machine(s): {said[0]}"
         ) from error
     return fabric
+
+
+def precision_here(wanted: Precision, accelerator: str) -> Precision:
+    """How numbers are best held where a run takes place: as wanted, but not in bf16 on a processor without it.
+
+    There torch computes bfloat16 all the same, one number after the other, and a step takes minutes.
+
+    Args:
+        wanted: what the recipe says.
+        accelerator: Fabric's word for where to run.
+    """
+    card = torch.accelerator.is_available()
+    on_processor = accelerator == "cpu" or (accelerator == "auto" and not card)
+    return "32-true" if wanted == "bf16-mixed" and on_processor and not _has_bfloat16() else wanted
+
+
+def _has_bfloat16() -> bool:
+    """Whether this processor multiplies bfloat16, as far as torch tells."""
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return hasattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported") and bool(
+            torch.ops.mkldnn._is_mkldnn_bf16_supported()
+        )
+    # The same question answers yes for every x86 with AVX-512, which most of them only imitate. An older torch does not
+    # know the two that follow, and then it is as it always was.
+    asked = [getattr(torch.cpu, f"_is_{name}_supported", None) for name in ("avx512_bf16", "amx_tile")]
+    return any(ask is None or ask() for ask in asked)
 
 
 def rank() -> int:
