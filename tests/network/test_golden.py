@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
+from salad.models.engines import EngineName
 from salad.models.model_folder import load
+from salad.models.openvino_engine import openvino
 from salad.network.aggregators.salad import Salad
 from salad.network.baseline_config import SceneConfig
 from salad.network.config import ModelConfig, ViTConfig
+from salad.network.export import export_file
 from salad.network.network import Network, build
 from salad.network.tokens import Tokens
 
@@ -55,6 +59,34 @@ def test_the_whole_model(flat: Network, salad_io: dict[str, Tensor], size: str) 
     _close(tokens.patches.mean(dim=1), salad_io[f"{size}.patches_mean"])
     _close(descriptors, expected)
     assert float(F.cosine_similarity(descriptors, expected).min()) > 0.999999
+
+
+@pytest.fixture(scope="module")
+def exported(flat: Network, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    to = tmp_path_factory.mktemp("golden") / "model.onnx"
+    export_file(flat, to, normalised=True)
+    return to
+
+
+@pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
+def test_the_exported_model_in_other_engines(exported: Path, salad_io: dict[str, Tensor], engine: str) -> None:
+    images, expected = (salad_io[f"322x322.{name}"].float().numpy() for name in ("image", "descriptor"))
+    if engine == "onnxruntime":
+        (found,) = pytest.importorskip("onnxruntime").InferenceSession(exported).run(None, {"images": images})
+    else:
+        core = openvino().Core()
+        found = core.compile_model(exported, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})({"images": images})[0]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ATOL)
+    assert (found * expected).sum(axis=1).min() > 0.999999
+
+
+@pytest.mark.parametrize("engine", ["onnx", "openvino"])
+@pytest.mark.parametrize("name", ["salad-lite", "salad-lite-route", "salad-vits"])
+def test_real_photos_in_other_engines(shared: Path, name: str, engine: EngineName) -> None:
+    photos = sorted((shared / "data" / "train").rglob("*.jpg"))[::600][:10]
+    assert len(photos) == 10
+    due, found = (load(name, engine=each).describe(photos).astype("float64") for each in ("torch", engine))
+    assert (due * found).sum(axis=1).min() >= 0.99999  # what leaves an index and its fingerprint valid
 
 
 def test_a_lightning_checkpoint_is_the_same_model(golden: Path, flat: Network) -> None:
