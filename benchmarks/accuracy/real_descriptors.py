@@ -57,11 +57,23 @@ class Described:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a descriptor of SALAD is made up: the scene's numbers, then those of each cluster, feature by feature."""
+    """How a descriptor is made up: the scene's numbers, those of each cluster, feature by feature, then each cell's.
+
+    Only salad-lite-route's has cells, number by number.
+    """
 
     scene: int = 256
     clusters: int = 128
     features: int = 64
+    cells: int = 0
+    cell: int = 32  # numbers of one
+
+    @property
+    def parts(self) -> npt.NDArray[np.int64]:
+        """Which part each number belongs to, of `1 + clusters + cells`: the scene is part 0."""
+        scene, clusters = np.zeros(self.scene, np.int64), np.arange(1, 1 + self.clusters)
+        cells = np.arange(1 + self.clusters, 1 + self.clusters + self.cells)
+        return np.concatenate([scene, np.tile(clusters, self.features), np.repeat(cells, self.cell)])
 
 
 class Distractors:
@@ -83,16 +95,11 @@ class Distractors:
     def blocks(self, count: int, *, step: int = 1000) -> Iterator[Half]:
         """`count` of them, `step` at a time; the same ones each time."""
         rng, dim = np.random.default_rng(self._seed), self._rows.shape[1]
-        of_number = np.concatenate(  # which part a number belongs to: 0 is the scene
-            [
-                np.zeros(self._layout.scene, np.int64),
-                np.tile(np.arange(1, 1 + self._layout.clusters), self._layout.features),
-            ]
-        )
+        of_number = self._layout.parts
         for start in range(0, count, step):
             some = min(step, count - start)
             first, second = rng.integers(len(self._rows), size=(2, some))
-            taken = rng.random((some, 1 + self._layout.clusters), dtype=np.float32) < self._second
+            taken = rng.random((some, of_number.max() + 1), dtype=np.float32) < self._second
             made = np.where(taken[:, of_number], self._rows[second], self._rows[first])
             made = np.asarray(numkong.astype(made, "float32"))  # numpy takes ten times as long
             made += rng.standard_normal((some, dim), dtype=np.float32) * np.float32(self._noise / np.sqrt(dim))
@@ -125,11 +132,21 @@ def crop(photo: Path, *, side: tuple[int, int], seed: int) -> Pixels:
     return squeeze(image.crop((left, top, left + wide, top + high)), *side)
 
 
+def evenly(many: int, few: int) -> list[int]:
+    """So few of many numbers from 0, evenly spread; all of them where there are no more."""
+    numbers: list[int] = np.linspace(0, many - 1, min(few, many)).astype(int).tolist()
+    return numbers
+
+
 def main() -> None:
     parser = benchmark_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--model", default="salad-lite")
+    parser.add_argument(
+        "--photos", type=int, help="training photos, evenly spread over all sets; all of them by default"
+    )
     parser.add_argument("--crops", type=int, default=3000)
+    parser.add_argument("--sets", nargs="*", default=[each.name for each in SETS], help="of evaluation; all by default")
     parser.add_argument("--train", type=Path, default=TRAIN)
     parser.add_argument("--eval", type=Path, default=EVAL)
     given = parser.parse_args()
@@ -138,7 +155,9 @@ def main() -> None:
     to = model.preprocessing
     train = sorted(str(path.relative_to(given.train)) for path in photos_in(given.train))
     # Crops of photos spread evenly over all sets; a photo's number is its seed.
-    cropped = {train[at]: int(at) for at in np.linspace(0, len(train) - 1, min(given.crops, len(train))).astype(int)}
+    cropped = {train[at]: at for at in evenly(len(train), given.crops)}
+    if given.photos is not None:
+        train = [train[at] for at in evenly(len(train), given.photos)]
 
     def whole(below: Path) -> Callable[[str], Pixels]:
         return lambda name: decode(below / name, to.height, to.width, to.resample)
@@ -148,7 +167,7 @@ def main() -> None:
 
     jobs: list[tuple[str, list[str], Callable[[str], Pixels]]] = [("train", train, whole(given.train))]
     for each in SETS:
-        if not (given.eval / each.name).is_dir():
+        if each.name not in given.sets or not (given.eval / each.name).is_dir():
             continue
         benchmark = each.read(given.eval)
         for side, photos in (("references", benchmark.references), ("queries", benchmark.queries)):
