@@ -1,8 +1,8 @@
-"""What is found by how many bytes a photo: salad's codes beside FAISS's IVF-PQ, OPQ and HNSW, and usearch.
+r"""What is found by how many bytes a photo: salad's codes beside FAISS's IVF-PQ, OPQ and HNSW, and usearch.
 
     pip install faiss-cpu usearch
     python -m benchmarks.accuracy.real_descriptors DESCRIPTORS/salad-lite --model salad-lite
-    python -m benchmarks.accuracy.recall_per_byte DESCRIPTORS/salad-lite [DESCRIPTORS/salad-vits ...]
+    python -m benchmarks.accuracy.recall_per_byte DESCRIPTORS/salad-lite [DESCRIPTORS/salad-vits ...] \
         --json per-byte.jsonl [--rows 20000] [--svg docs/recall-per-byte.svg]
 
 Each folder is one model's, and called after it. In it are descriptors of photos; rows are all of them that are no

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +15,7 @@ import pytest
 from benchmarks.accuracy import recall_per_byte
 from benchmarks.accuracy.byte_chart import SHAPES, chart
 from benchmarks.accuracy.real_descriptors import Distractors, Layout, evenly
+from benchmarks.speed.compressed import Asked
 from salad.search.base import ArrayRows
 from salad.search.compressed import ArrayCodes, Coding, CompressedSearcher
 from salad.search.exact import ExactSearcher
@@ -37,7 +41,8 @@ def queries(rows: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def all_ways(rows: np.ndarray) -> Iterator[list[Way]]:
+def small() -> Iterator[None]:
+    """As few parameters as there may be."""
     pytest.importorskip("faiss", reason="FAISS is what the curve compares with, and nothing else needs it")
     pytest.importorskip("usearch", reason="usearch is what the curve compares with, and nothing else needs it")
     from benchmarks.accuracy import ways_to_search
@@ -50,7 +55,14 @@ def all_ways(rows: np.ndarray) -> Iterator[list[Way]]:
         patch.setattr(ways_to_search, "TURNS", 2)
         patch.setattr(ways_to_search, "LISTS", 4)
         patch.setattr(ways_to_search, "PROBED", 4)
-        yield list(ways_to_search.ways(rows, seed=0))
+        yield
+
+
+@pytest.fixture(scope="module")
+def all_ways(small: None, rows: np.ndarray) -> list[Way]:
+    from benchmarks.accuracy import ways_to_search
+
+    return list(ways_to_search.ways(rows, seed=0))
 
 
 def test_every_way_gives_rows_of_the_index_and_most_of_the_right_ones(
@@ -107,6 +119,26 @@ def test_distractors_of_a_model_with_a_layout_take_each_cell_from_one_photo() ->
 def test_few_are_spread_over_many() -> None:
     assert evenly(10, 3) == [0, 4, 9]
     assert evenly(2, 5) == [0, 1]
+
+
+def test_a_model_is_measured_once_and_drawn_again(
+    small: None, rows: np.ndarray, queries: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = {"training": queries[:4], "evaluation": queries[4:]}
+    monkeypatch.setattr(recall_per_byte, "asked", lambda *_, **__: Asked(kinds, rows, rows))
+    kept, picture = tmp_path / "kept.jsonl", tmp_path / "curve.svg"
+    options = ["--json", str(kept), "--svg", str(picture), "--rows", str(ROWS), "--timed", "1", "--rounds", "1"]
+    monkeypatch.setattr(sys, "argv", ["recall_per_byte", "somewhere/mine", *options])
+    recall_per_byte.main()
+    figures = [json.loads(line) for line in kept.read_text().splitlines()]
+    assert {each["model"] for each in figures} == {"mine"}
+    assert {each["way"] for each in figures} == set(SHAPES)
+    assert figures[0]["queries"] == {"training": 4, "evaluation": 6}
+    drawn = picture.read_text()
+    monkeypatch.setattr(recall_per_byte, "asked", None)  # not asked again
+    recall_per_byte.main()
+    assert kept.read_text().count("\n") == len(figures)
+    assert picture.read_text() == drawn
 
 
 def figure(way: str, code: int, recall: dict[str, float]) -> dict[str, Any]:
