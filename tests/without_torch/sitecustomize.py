@@ -8,7 +8,9 @@ torch brings along are still found: `scripts/test-long` looks for those, in an e
 
 from __future__ import annotations
 
+import importlib.util
 import sys
+from importlib.machinery import ModuleSpec
 from typing import Any
 
 ABSENT = {"torch", "kornia", "lightning_fabric", "onnx", "onnxscript", "pytorch_metric_learning", "transformers"}
@@ -25,3 +27,12 @@ class Absent:
 
 finder: Any = Absent
 sys.meta_path.insert(0, finder)
+_find_spec = importlib.util.find_spec
+
+
+def find_spec(name: str, package: str | None = None) -> ModuleSpec | None:
+    """Whether there is a module, asked by libraries that go without: no, and not an error as the import is."""
+    return None if name.partition(".")[0] in ABSENT else _find_spec(name, package)
+
+
+importlib.util.find_spec = find_spec
