@@ -1,7 +1,8 @@
-"""A file that is written whole or not at all."""
+"""A file that is written whole or not at all, and what tells it from every other."""
 
 from __future__ import annotations
 
+import hashlib
 import uuid
 from contextlib import suppress
 from pathlib import Path
@@ -21,3 +22,13 @@ def write_whole(path: Path, content: bytes) -> None:
         with suppress(OSError):
             part.unlink(missing_ok=True)
         raise
+
+
+def sha256_of(path: Path) -> str:
+    """The checksum of a file, in hexadecimal digits.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -16,6 +16,7 @@ import pytest
 import torch
 
 from salad.errors import ModelError, WeightsError
+from salad.files import sha256_of
 from salad.models.describer import Describer
 from salad.models.engines import EngineName
 from salad.models.hub import ZOO, path_of
@@ -203,9 +204,7 @@ def test_what_is_no_graph_is_a_sentence(folder: Path, held: bytes) -> None:
 
 
 def _as_if_it_belonged(folder: Path) -> None:
-    from salad.models.model_folder import _sha256
-
-    files = {name: _sha256(folder / name) for name in (GRAPH, WEIGHTS)}
+    files = {name: sha256_of(folder / name) for name in (GRAPH, WEIGHTS)}
     (folder / CONFIG).write_text(json.dumps({**settings(folder), "files": files}))
 
 

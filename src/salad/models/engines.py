@@ -12,15 +12,18 @@ batch, and is asked for its outputs by name, as runtimes of exported graphs want
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from salad.errors import ModelError
-from salad.network.config import Output, Precision
+from salad.errors import ModelError, WeightsError
+from salad.network.config import ModelConfig, Output, Precision
 
 Weights = Mapping[str, Any]
 """Arrays under the names they have in `model.safetensors`."""
@@ -91,6 +94,50 @@ def check_request(engine: Engine, photos: Photos, outputs: Sequence[Output]) -> 
     for name in outputs:
         if name not in engine.outputs:
             raise ModelError(f"this model has no output {name!r}: ask for {', '.join(engine.outputs)}")
+
+
+def check_settings(config: ModelConfig, made_of: str, *, graph: Path, command: str) -> None:
+    """Refuse a graph that was made of other settings than those it lies beside.
+
+    A setting changed by hand, the size or the colours' mean, would change the fingerprint and nothing else.
+
+    Args:
+        config: What lies beside it.
+        made_of: The settings that the graph tells of.
+        graph: Its file.
+        command: What writes it anew.
+
+    Raises:
+        WeightsError: If they are not the same.
+    """
+    if made_of != json.dumps(config.counted, sort_keys=True):
+        raise WeightsError(
+            f"{graph} was made of other settings than the config.json beside it has: write it anew with '{command}'"
+        )
+
+
+def photo_by_photo(
+    run: Callable[[Photos], list[np.ndarray]], photos: Photos, *, threads: int, apart: bool = True
+) -> list[np.ndarray]:
+    """What a runtime makes of a batch, which may be empty, asked for one photo at a time and a thread each.
+
+    What a layer makes of one photo stays in a core's own cache, what it makes of sixteen does not, and threads with a
+    photo each do not wait for one another.
+
+    Args:
+        run: Asks the runtime, from any thread; one array for each output.
+        photos: Of the engine's size.
+        threads: How many.
+        apart: False where the runtime does better with the whole batch, as on an accelerator.
+    """
+    # No runtime promises anything of an empty batch: one photo says what shapes there are.
+    asked = np.ascontiguousarray(photos) if len(photos) else np.zeros((1, *photos.shape[1:]), np.uint8)
+    if not apart or len(asked) == 1:
+        whole = run(asked)
+    else:
+        with ThreadPoolExecutor(min(threads, len(asked)), "salad-describe") as team:
+            whole = [np.concatenate(same) for same in zip(*team.map(run, asked[:, None]), strict=True)]
+    return [value[: len(photos)] for value in whole]
 
 
 class Choice(NamedTuple):

@@ -12,7 +12,6 @@ publishes the same file (`FILE.part.version` holds what it said of it). Only the
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import http.client
 import os
 import re
@@ -29,7 +28,7 @@ from typing import Any, Literal
 import platformdirs
 
 from salad.errors import FetchError, WeightsError
-from salad.files import write_whole
+from salad.files import sha256_of, write_whole
 
 Progress = Callable[[int, int | None], None]
 Opener = Callable[..., Any]
@@ -89,7 +88,7 @@ def check(path: Path, *, sha256: str | None = None) -> None:
     Raises:
         WeightsError: If the file is another one.
     """
-    found, recorded = _sha256(path), _beside(path, "sha256")
+    found, recorded = sha256_of(path), _beside(path, "sha256")
     if sha256 is None and not recorded.exists():
         with contextlib.suppress(OSError):  # a shared cache may be read-only, and its files good all the same
             write_whole(recorded, f"{found}  {path.name}\n".encode())
@@ -181,7 +180,7 @@ def _settle(part: Path, target: Path, total: int | None, *, sha256: str | None, 
     # Short of bytes it may be gone on with; with wrong ones it may not, or every later attempt would fail too.
     if total is not None and length < total:
         raise OSError(f"the connection broke off after {length} of {total} bytes, which are kept to go on from")
-    found = _sha256(part)
+    found = sha256_of(part)
     if any(due not in (None, came) for due, came in ((total, length), (size, length), (sha256, found))):
         part.unlink()
         raise OSError(f"what came has {length} bytes and checksum {found}, not {size or total} and {sha256}")
@@ -192,11 +191,6 @@ def _settle(part: Path, target: Path, total: int | None, *, sha256: str | None, 
 
 def _beside(path: Path, suffix: str) -> Path:
     return path.with_name(f"{path.name}.{suffix}")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 Layout = Literal["flat", "megaloc", "hub", "own"]

@@ -8,7 +8,6 @@ the model is opened.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import tempfile
@@ -24,6 +23,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from salad.errors import MissingExtraError, ModelError, PhotoError, WeightsError
+from salad.files import sha256_of
 from salad.models import hub
 from salad.models.describer import Describer, PhotoLike, squeezed
 from salad.models.engines import Engine, EngineName, Weights, choose
@@ -209,7 +209,7 @@ def add_graph(folder: str | Path, photos: Sequence[PhotoLike] = ()) -> Path:
     try:
         write_graph(engine.network, folder / WEIGHTS, draft, _checked_on(photos, config.preprocessing))
         shutil.copymode(folder / CONFIG, draft)
-        checksums = {GRAPH: _sha256(draft), WEIGHTS: _sha256(folder / WEIGHTS)}
+        checksums = {GRAPH: sha256_of(draft), WEIGHTS: sha256_of(folder / WEIGHTS)}
         # An old graph's checksum goes first: between two renames there may be a model without a graph, but none with
         # one that is not its own.
         _rewrite_config(folder, config, {}, what="the graph")
@@ -304,16 +304,11 @@ def _check_files(folder: Path, checksums: Checksums) -> None:
     for name, due in checksums.items():
         if name not in (GRAPH, WEIGHTS) or not (folder / name).is_file():
             raise WeightsError(f"{folder / CONFIG} tells of a file {name!r}, which is not there: copy the model anew")
-        if _sha256(folder / name) != due:
+        if sha256_of(folder / name) != due:
             raise WeightsError(
                 f"{folder / name} is not the file that {CONFIG} beside it was written for, and graph and weights only "
                 "fit each other: copy the model anew, or write its graph anew with 'salad weights graph'"
             )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _read_weights(file: Path) -> dict[str, np.ndarray]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salad.errors import ModelError, WeightsError
-from salad.models.engines import Outputs, Photos, Weights, check_request
+from salad.models.engines import Outputs, Photos, Weights, check_request, check_settings, photo_by_photo
 from salad.network.config import PHOTOS, SETTINGS, ModelConfig, Output
 from salad.processors import processors
 
@@ -93,12 +91,7 @@ class OnnxEngine:
         except Exception as error:  # the runtime's errors have no common ancestor
             raise WeightsError(f"{self.graph} cannot be run: {str(error).splitlines()[0]}") from error
         made_of = session.get_modelmeta().custom_metadata_map.get(SETTINGS, "null")
-        # A setting changed by hand, the size or the colours' mean, would change the fingerprint and nothing else.
-        if made_of != json.dumps(self.config.counted, sort_keys=True):
-            raise WeightsError(
-                f"{self.graph} was made of other settings than the config.json beside it has: write it anew with "
-                "'salad weights graph'"
-            )
+        check_settings(self.config, made_of, graph=self.graph, command="salad weights graph")
         return session
 
     @property
@@ -128,22 +121,14 @@ class OnnxEngine:
             WeightsError: If the graph is damaged.
         """
         check_request(self, photos, outputs)
-        # No runtime promises anything of an empty batch: one photo says what shapes there are.
-        asked = np.ascontiguousarray(photos) if len(photos) else np.zeros((1, *photos.shape[1:]), np.uint8)
-        session = self._session_for(len(asked))
+        session = self._session_for(len(photos))
 
         def made(some: Photos) -> list[np.ndarray]:
             found: list[np.ndarray] = session.run(list(outputs), {PHOTOS: some})
             return found
 
-        if self._device != "cpu" or len(asked) == 1:
-            whole = made(asked)
-        else:
-            # One by one: what a layer makes of one photo stays in a core's own cache, what it makes of sixteen does not
-            # (29 ms a photo against 41, salad-lite), and threads with a photo each do not wait for one another.
-            with ThreadPoolExecutor(min(self.threads, len(asked)), "salad-describe") as team:
-                whole = [np.concatenate(parts) for parts in zip(*team.map(made, asked[:, None]), strict=True)]
-        return {name: value[: len(photos)] for name, value in zip(outputs, whole, strict=True)}
+        whole = photo_by_photo(made, photos, threads=self.threads, apart=self._device == "cpu")
+        return dict(zip(outputs, whole, strict=True))
 
 
 def _provider(device: str, available: Sequence[str]) -> Any:

@@ -6,13 +6,11 @@ are its alone: theirs is a graph of its own form, which lies with its numbers in
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -21,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from salad.errors import MissingExtraError, ModelError, WeightsError
-from salad.models.engines import Outputs, Photos, Weights, check_request
+from salad.models.engines import Outputs, Photos, Weights, check_request, check_settings, photo_by_photo
 from salad.network.config import PHOTOS, SETTINGS, ModelConfig, Output, Precision
 from salad.processors import processors
 
@@ -125,13 +123,8 @@ class OpenVinoEngine:
             made_of = told.astype(str)
         except (RuntimeError, KeyError, OSError) as error:
             raise WeightsError(f"{self.graph} cannot be run: {_last_line(error)}") from error
-        # A setting changed by hand, the size or the colours' mean, would change the fingerprint and nothing else.
-        if made_of != json.dumps(self.config.counted, sort_keys=True):
-            command = "salad quantize" if quantized else "salad weights graph"
-            raise WeightsError(
-                f"{self.graph} was made of other settings than the config.json beside it has: write it anew with "
-                f"'{command}'"
-            )
+        command = "salad quantize" if quantized else "salad weights graph"
+        check_settings(self.config, made_of, graph=self.graph, command=command)
         _resize_once(model)
         return model
 
@@ -164,16 +157,8 @@ class OpenVinoEngine:
             WeightsError: If the graph is damaged.
         """
         check_request(self, photos, outputs)
-        # No runtime promises anything of an empty batch: one photo says what shapes there are.
-        asked = np.ascontiguousarray(photos) if len(photos) else np.zeros((1, *photos.shape[1:]), np.uint8)
-        compiled = self._compiled_for(len(asked))
-        if len(asked) == 1:
-            parts = [compiled.run(asked, outputs)]
-        else:
-            # One by one, as in ONNX Runtime's engine, and for the same reason: the caches.
-            with ThreadPoolExecutor(min(self.threads, len(asked)), "salad-describe") as team:
-                parts = list(team.map(lambda photo: compiled.run(photo, outputs), asked[:, None]))
-        whole = [np.concatenate(same)[: len(photos)] for same in zip(*parts, strict=True)]
+        compiled = self._compiled_for(len(photos))
+        whole = photo_by_photo(lambda some: compiled.run(some, outputs), photos, threads=self.threads)
         return dict(zip(outputs, whole, strict=True))
 
 

@@ -15,7 +15,7 @@ import json
 import logging
 import struct
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +26,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from salad.errors import ModelError, needs_extra
-from salad.network.config import PHOTOS, SETTINGS, Preprocessing
+from salad.network.config import PHOTOS, SETTINGS, Output, Preprocessing
 from salad.network.network import Network, evaluating
 
 if TYPE_CHECKING:
@@ -109,16 +109,7 @@ def check_file(
     if normalised:
         mean, std = (np.array(values, np.float32).reshape(3, 1, 1) for values in (size.mean, size.std))
         images = (images - mean) / std
-    start = 0
-    with _refusing(file.name):
-        session = _session(file)
-        for batch in BATCHES:
-            some = slice(start, start + batch)
-            start += batch
-            (found,) = session.run(["descriptor"], {"images": images[some]})
-            with evaluating(network), torch.no_grad():
-                due = network.outputs(np.ascontiguousarray(photos[some]), ["descriptor"])["descriptor"]
-            _compare("descriptor", found, due.float().cpu().numpy())
+    _check(network, file, photos, {"images": images}, outputs=["descriptor"], named=file.name)
 
 
 class _Normalising(nn.Module):
@@ -182,15 +173,28 @@ def check_graph(network: Network, graph: Path, photos: UInt8[np.ndarray, "n heig
     Raises:
         ModelError: If the graph cannot be run, or computes anything else.
     """
+    _check(network, graph, photos, {PHOTOS: photos}, outputs=network.config.outputs, named=network.config.name)
+
+
+def _check(
+    network: Network,
+    file: Path,
+    photos: UInt8[np.ndarray, "n height width 3"],
+    fed: Mapping[str, np.ndarray],
+    *,
+    outputs: Sequence[Output],
+    named: str,
+) -> None:
+    """Run a file, fed with the same photos in its own form, beside the network, a few at a time."""
     start = 0
-    with _refusing(network.config.name):
-        session = _session(graph)
+    with _refusing(named):
+        session = _session(file)
         for batch in BATCHES:
-            some = np.ascontiguousarray(photos[start : start + batch])
+            some = slice(start, start + batch)
             start += batch
-            found = session.run(list(network.config.outputs), {PHOTOS: some})
+            found = session.run(list(outputs), {name: np.ascontiguousarray(value[some]) for name, value in fed.items()})
             with evaluating(network), torch.no_grad():
-                due = network.outputs(some, network.config.outputs)
+                due = network.outputs(np.ascontiguousarray(photos[some]), outputs)
             for (name, right), given in zip(due.items(), found, strict=True):
                 _compare(name, given, right.float().cpu().numpy())
 
