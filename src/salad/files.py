@@ -1,11 +1,121 @@
-"""A file that is written whole or not at all, and what tells it from every other."""
+"""Files opened so that nothing but a file is opened, read no further than they may be long, and written whole or not
+at all.
+
+A name may be a link to somewhere else, a pipe that nobody writes to, or a device that never ends. All are told apart
+by what was opened, not by what stood there a moment before. What cannot be opened is an `OSError` whose `strerror`
+says why, so that the sentences of whoever asks need no case of their own.
+"""
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import json
+import os
+import stat
 import uuid
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, BinaryIO
+
+_TEXT_MOST = 1 << 30  # bytes of JSON that are read: a GeoJSON of a million photos has 300 MB
+
+
+def open_file(path: str | Path, *, follow: bool = True, write: bool = False) -> BinaryIO:
+    """Open a regular file, without waiting and without running into what is none; unbuffered.
+
+    Args:
+        path: The file.
+        follow: Whether `path` may be a symbolic link, as it may where the user gave it, and may not inside of a folder
+            that somebody else may have made.
+        write: Whether it is opened for reading and writing, in place. Then it must have no other name, whose file
+            would change too.
+
+    Raises:
+        OSError: If it cannot be opened, is a folder, a pipe or a device, or a link that is not followed.
+    """
+    flags = (os.O_RDWR if write else os.O_RDONLY) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+    if not follow:
+        flags |= getattr(os, "O_NOFOLLOW", 0)
+        if not hasattr(os, "O_NOFOLLOW") and os.path.islink(path):  # noqa: PTH114  # Windows
+            raise _refusal(errno.ELOOP, "it is a link", path)
+    try:
+        descriptor = os.open(path, flags)
+    except OSError as error:
+        if not follow and error.errno == errno.ELOOP:
+            raise _refusal(errno.ELOOP, "it is a link", path) from error
+        if error.errno == errno.ENXIO:  # a socket, or a pipe that nobody reads
+            raise _refusal(errno.EINVAL, "it is no regular file", path) from error
+        raise
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            what = "it is a folder" if stat.S_ISDIR(status.st_mode) else "it is no regular file"
+            raise _refusal(errno.EINVAL, what, path)
+        if write and status.st_nlink > 1:
+            raise _refusal(errno.EMLINK, "it is a hard link, and its other names would change too", path)
+        return open(descriptor, "r+b" if write else "rb", buffering=0)  # noqa: PTH123  # no path: what was opened
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def create_file(path: str | Path) -> BinaryIO:
+    """Make a new file and open it for writing; what stands there already, be it a link to nowhere, is left alone.
+
+    Raises:
+        OSError: If something stands there, or no file can be made.
+    """
+    return Path(path).open("xb")
+
+
+def read_file(path: str | Path, *, most: int, follow: bool = True) -> bytes:
+    """All of a regular file, which may be `most` bytes long.
+
+    Raises:
+        OSError: As `open_file`; or if it is longer, or does not come to an end.
+    """
+    with open_file(path, follow=follow) as file:
+        length = os.fstat(file.fileno()).st_size
+        content = b"" if length > most else _read(file, most + 1)
+        if length > most or len(content) > most:
+            raise _refusal(errno.EFBIG, f"it is longer than {most:,} bytes", path)
+        return content
+
+
+def _read(file: BinaryIO, most: int) -> bytes:
+    """What a file holds, as far as `most` bytes: it may be growing."""
+    parts = bytearray()
+    while len(parts) < most and (part := file.read(min(1 << 24, most - len(parts)))):
+        parts += part
+    return bytes(parts)
+
+
+def read_json(path: str | Path, *, most: int = _TEXT_MOST, follow: bool = True) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        path: The file, in UTF-8.
+        most: Bytes that it may be long.
+        follow: As `open_file`.
+
+    Raises:
+        OSError: If it cannot be read, or is longer.
+        ValueError: If it is no JSON, no UTF-8, or nested so deeply that nobody can mean it.
+    """
+    return parse_json(read_file(path, most=most, follow=follow))
+
+
+def parse_json(text: str | bytes) -> Any:
+    """What a text of JSON holds.
+
+    Raises:
+        ValueError: If it is no JSON, no UTF-8, or nested so deeply that nobody can mean it.
+    """
+    try:
+        return json.loads(text if isinstance(text, str) else text.decode("utf-8"))
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -30,5 +140,9 @@ def sha256_of(path: Path) -> str:
     Raises:
         OSError: If it cannot be read.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _refusal(number: int, reason: str, path: str | Path) -> OSError:
+    return OSError(number, reason, os.fspath(path))
