@@ -1,5 +1,4 @@
-"""Files opened so that nothing but a file is opened, read no further than they may be long, and written whole or not
-at all.
+"""Files: nothing else is opened, none is read further than it may be long, and what is written is whole.
 
 A name may be a link to somewhere else, a pipe that nobody writes to, or a device that never ends. All are told apart
 by what was opened, not by what stood there a moment before. What cannot be opened is an `OSError` whose `strerror`
@@ -15,49 +14,57 @@ import os
 import stat
 import uuid
 from contextlib import suppress
+from io import BufferedRandom, BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
+_NO_FILE = "it is no regular file"
 _TEXT_MOST = 1 << 30  # bytes of JSON that are read: a GeoJSON of a million photos has 300 MB
 
 
-def open_file(path: str | Path, *, follow: bool = True, write: bool = False) -> BinaryIO:
-    """Open a regular file, without waiting and without running into what is none; unbuffered.
+def open_file(path: str | Path, *, follow: bool = True) -> BufferedReader:
+    """Open a regular file to be read, without waiting.
 
     Args:
         path: The file.
         follow: Whether `path` may be a symbolic link, as it may where the user gave it, and may not inside of a folder
             that somebody else may have made.
-        write: Whether it is opened for reading and writing, in place. Then it must have no other name, whose file
-            would change too.
 
     Raises:
         OSError: If it cannot be opened, is a folder, a pipe or a device, or a link that is not followed.
     """
-    flags = (os.O_RDWR if write else os.O_RDONLY) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
-    if not follow:
-        flags |= getattr(os, "O_NOFOLLOW", 0)
-        if not hasattr(os, "O_NOFOLLOW") and os.path.islink(path):  # noqa: PTH114  # Windows
-            raise _refusal(errno.ELOOP, "it is a link", path)
+    return open(_opened(path, os.O_RDONLY, follow=follow), "rb")
+
+
+def open_in_place(path: str | Path) -> BufferedRandom:
+    """Open a regular file to be changed where it is; never through a link, of either kind.
+
+    Raises:
+        OSError: As `open_file`; or if it has another name, whose content would change too.
+    """
+    descriptor = _opened(path, os.O_RDWR, follow=False)
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        raise _refusal(errno.EMLINK, "it is a hard link, and what else is linked to it would change too", path)
+    return open(descriptor, "r+b")  # noqa: PTH123  # of no path
+
+
+def _opened(path: str | Path, flags: int, *, follow: bool) -> int:
+    """The descriptor of a regular file."""
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0) | (0 if follow else getattr(os, "O_NOFOLLOW", 0))
     try:
+        if not follow and os.path.islink(path):  # noqa: PTH114  # Windows has no O_NOFOLLOW; others it serves for a word
+            raise _refusal(errno.ELOOP, "it is a link", path)
         descriptor = os.open(path, flags)
     except OSError as error:
-        if not follow and error.errno == errno.ELOOP:
-            raise _refusal(errno.ELOOP, "it is a link", path) from error
-        if error.errno == errno.ENXIO:  # a socket, or a pipe that nobody reads
-            raise _refusal(errno.EINVAL, "it is no regular file", path) from error
+        if error.errno == errno.ENXIO:  # a socket, or a device that is not there
+            raise _refusal(errno.EINVAL, _NO_FILE, path) from error
         raise
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            what = "it is a folder" if stat.S_ISDIR(status.st_mode) else "it is no regular file"
-            raise _refusal(errno.EINVAL, what, path)
-        if write and status.st_nlink > 1:
-            raise _refusal(errno.EMLINK, "it is a hard link, and its other names would change too", path)
-        return open(descriptor, "r+b" if write else "rb", buffering=0)  # noqa: PTH123  # no path: what was opened
-    except BaseException:
-        os.close(descriptor)
-        raise
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return descriptor
+    os.close(descriptor)
+    raise _refusal(errno.EINVAL, "it is a folder" if stat.S_ISDIR(mode) else _NO_FILE, path)
 
 
 def create_file(path: str | Path) -> BinaryIO:
