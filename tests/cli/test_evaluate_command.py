@@ -154,11 +154,12 @@ def test_a_page_of_a_new_result_and_of_a_saved_one(
     new = cli(*sides, "--frames", 0, "--save", saved, "--report", pages[0], "--format", "json")
     assert (new.code, f"written to {pages[0]}" in new.err) == (0, True)
     asked.clear()
-    old = cli("evaluate", "--result", saved, "--report", pages[1], "--format", "json")
+    again = ("evaluate", "--result", saved, *sides[1:])
+    old = cli(*again, "--report", pages[1], "--format", "json")
     assert (old.json(), asked) == (new.json(), [])
     assert pages[1].read_text(encoding="utf-8") == pages[0].read_text(encoding="utf-8")
     assert "R@1" in pages[1].read_text(encoding="utf-8")
-    hot = cli("evaluate", "--result", saved, "--report", pages[2], "--heat", "--csv", tmp_path / "r.csv")
+    hot = cli(*again, "--report", pages[2], "--heat", "--csv", tmp_path / "r.csv")
     assert (hot.code, asked, (tmp_path / "r.csv").is_file()) == (0, ["salad-lite"], True)
 
 
@@ -170,10 +171,14 @@ def test_photos_of_a_saved_result_that_lie_elsewhere_now(
     saved, page = tmp_path / "r.json", tmp_path / "page.html"
     descriptors = ("--descriptors", tmp_path / "r.npy", tmp_path / "q.npy")
     cli(*sides, "--frames", 0, *descriptors, "--save", saved)
-    ran = cli("evaluate", "--result", saved, "--references", tmp_path, "--report", page)
+    again = ("evaluate", "--result", saved, "--report", page)
+    ran = cli(*again, "--references", tmp_path, "--queries", photos.queries)
     assert (ran.code, "6 of 12 photos to show cannot be opened" in ran.err) == (0, True)
-    ran = cli("evaluate", "--result", saved, "--references", photos.references, "--report", page)
+    ran = cli(*again, "--references", photos.references, "--queries", photos.queries)
     assert (ran.code, "cannot be opened" in ran.err) == (0, False)
+    ran = cli(*again, "--references", photos.references)
+    assert (ran.code, "the queries are not shown" in ran.err, "--queries" in ran.err) == (0, True, True)
+    assert "not shown" not in cli("evaluate", "--result", saved).err  # without a page nobody misses them
     told = sentence(cli("evaluate", "--result", saved, "--report", page, "--heat"))
     assert "no model of ours" in told
 

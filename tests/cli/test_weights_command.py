@@ -17,6 +17,7 @@ import pytest
 from safetensors.numpy import load_file
 
 import salad
+from salad.images.metadata import save_jpeg
 from salad.models import hub
 from salad.models.model_folder import write_folder
 from salad.network.baseline_config import SceneConfig, VladConfig
@@ -187,11 +188,14 @@ def street(cli: Any, photos: Any, tmp_path: Path) -> tuple[Path, Path]:
 @pytest.mark.torch
 def test_a_vocabulary_from_an_index_is_a_model(cli: Any, street: tuple[Path, Path], tmp_path: Path) -> None:
     (city, model), to = street, tmp_path / "anyloc"
-    (tmp_path / "photos" / "me@home 3.jpg").unlink()
+    gone, other = (tmp_path / "photos" / name for name in ("me@home 3.jpg", "-dash 5.jpg"))
+    gone.unlink()
+    save_jpeg(np.zeros((24, 24, 3), dtype=np.uint8), other)  # not what the index holds: it is not opened for it
     ran = cli("weights", "vocabulary", "--index", city, "--model", model, "--to", to, "--clusters", 5)
     assert (ran.code, ran.out) == (0, f"{to}\n")
-    assert ran.err.count("\n") == 1
-    assert "me@home 3.jpg" in ran.err
+    assert ran.err.count("\n") == 2
+    for photo in (gone, other):
+        assert f"{photo} was changed or is gone" in ran.err
     made = salad.load(to)
     assert made.config.aggregator == VladConfig(16, clusters=5)
     assert made.name == "tiny-vlad"

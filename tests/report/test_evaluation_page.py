@@ -125,9 +125,48 @@ def test_it_holds_every_figure_of_the_result(make: Make, tmp_path: Path) -> None
 def test_a_saved_result_makes_the_same_page(make: Make, tmp_path: Path) -> None:
     result = make(groups=[f"g{n % 2}" for n in range(12)])
     write_result(result, tmp_path / "r.json")
-    page = tmp_path / "page.html"
-    assert write_report(read_result(tmp_path / "r.json"), page) == ()
+    page, saved = tmp_path / "page.html", read_result(tmp_path / "r.json")
+    assert write_report(saved, page, folders=(tmp_path / "in", tmp_path / "out")) == ()
     assert page.read_text(encoding="utf-8") == draw_report(result, page)[0]
+
+
+def test_a_saved_result_shows_photos_of_folders_that_were_named_and_of_no_other(make: Make, tmp_path: Path) -> None:
+    write_result(make(), tmp_path / "r.json")
+    saved = read_result(tmp_path / "r.json")
+    for folders, said, shown in (
+        (None, "references and queries are not shown", 0),
+        ((None, None), "references and queries are not shown", 0),
+        ((tmp_path / "in", None), "the queries are not shown", 1),
+        ((None, tmp_path / "out"), "the references are not shown", 1),
+    ):
+        text, told = draw_report(saved, tmp_path / "page.html", Sharing(), folders=folders)
+        page = Sheet(text)
+        assert len(told) == 1
+        assert said in told[0]
+        assert told[0] in page.said
+        assert bool(page.all("img")) == bool(shown)
+
+
+@pytest.mark.parametrize("way", ["../secret.jpg", "{}/secret.jpg", "link.jpg", "up/secret.jpg"])
+def test_a_saved_result_shows_nothing_that_lies_outside_of_the_folders(make: Make, tmp_path: Path, way: str) -> None:
+    """Whoever made the result has it name a file of the machine that makes a page of it."""
+    result, folders = make(), (tmp_path / "in", tmp_path / "out")
+    save_jpeg(np.full((16, 16, 3), 200, dtype=np.uint8), tmp_path / "secret.jpg")
+    for folder in folders:
+        (folder / "link.jpg").symlink_to(tmp_path / "secret.jpg")
+        (folder / "up").symlink_to(tmp_path)
+    name = way.format(tmp_path)
+    crafted = replace(
+        result,
+        per_query=tuple(replace(one, query=name) for one in result.per_query),
+        known={row: replace(one, name=name) for row, one in result.known.items()},
+        folders=(str(tmp_path), str(tmp_path)),
+    )
+    write_result(crafted, tmp_path / "r.json")
+    for given in (None, folders):
+        text, told = draw_report(read_result(tmp_path / "r.json"), tmp_path / "page.html", Sharing(), folders=given)
+        assert told
+        assert not Sheet(text).all("img")
 
 
 @pytest.mark.parametrize("positions", [None, (), (0, 3, 4)])

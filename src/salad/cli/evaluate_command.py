@@ -95,7 +95,8 @@ class EvaluateCommand:
     leaks: bool = False
     """List photos that are references and queries at once."""
     result: FilePath = None
-    """Judge nothing: take the result that --save wrote. --references and --queries then say where photos are now."""
+    """Judge nothing: take the result that --save wrote. --references and --queries then say where the photos are that
+    a page shows."""
     save: FilePath = None
     """Write the whole result as JSON, for `salad compare`."""
     report: FilePath = None
@@ -284,6 +285,8 @@ class EvaluateCommand:
         if self.report is not None:
             from salad.report.evaluation_page import write_report
 
-            for sentence in write_report(result, self.report, model):
+            # A saved result's own folders are what its file says, and no picture is taken from there.
+            named = None if self.result is None else (self.references, self.queries)
+            for sentence in write_report(result, self.report, model, folders=named):
                 terminal.say(sentence)
             terminal.say(f"written to {self.report}")

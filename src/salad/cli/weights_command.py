@@ -129,7 +129,7 @@ class MakeVocabulary:
             raise WeightsError(f"{self.to} exists already; choose another folder, or remove it first")
         # Closed again before the model works for minutes: others may add to the index meanwhile.
         with Index.open(self.index) as index:
-            photos = [photo.path for photo in index.photos()]
+            photos = list(index.held_photos())
         model, unreadable = load(self.model or model_name_for(self.index), device=self.device), list[str]()
         with terminal.progress("gathering tokens") as bar:
             made = with_vocabulary(

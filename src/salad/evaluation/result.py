@@ -135,6 +135,8 @@ class Result:
         known: The references that verdicts name, by row.
         folders: The folders of references and of queries that names are below.
         digests: Of the references' names and of what is right, to tell whether two results are of one set.
+        from_file: Whether it was read from a file: its folders are then what somebody wrote there, and nothing is
+            opened below them.
     """
 
     benchmark: str
@@ -157,6 +159,7 @@ class Result:
     known: Mapping[int, Reference] = field(default_factory=dict)
     folders: tuple[str, str] = ("", "")
     digests: tuple[str, str] = ("", "")
+    from_file: bool = field(default=False, compare=False)
 
     def as_dict(self) -> dict[str, Any]:
         """Give the JSON form that `salad evaluate --format json` prints: every figure, but no single query."""
@@ -212,6 +215,7 @@ class Result:
             },
             folders=(references, queries),
             digests=(names_digest, rows_digest),
+            from_file=True,
         )
         if len(result.per_query) != result.queries:
             raise ValueError(f"{result.queries} queries, {len(result.per_query)} verdicts")

@@ -88,18 +88,19 @@ def decode(path: Path, height: int, width: int, resample: str = "bilinear", *, f
     return squeeze(_load(path, file, at_least=(height, width)), height, width, resample)
 
 
-def open_rgb(path: Path, *, at_least: tuple[int, int] | None = None) -> Image.Image:
+def open_rgb(path: Path, *, at_least: tuple[int, int] | None = None, file: IO[bytes] | None = None) -> Image.Image:
     """A photo to be shown to people: upright, RGB, eight bits; for a model's eyes there is `decode`.
 
     Args:
         path: The file.
         at_least: Height and width that the caller will squeeze the photo to. A JPEG may then be decoded at a half, a
             quarter or an eighth of its size, never below twice that. Not given: all pixels are decoded.
+        file: The same file where it is open already, or held in memory; read from its beginning.
 
     Raises:
         PhotoError: If the file is missing, empty, truncated, not an image or has over `MAX_PIXELS` pixels.
     """
-    rgb = _load(path, None, at_least=at_least)
+    rgb = _load(path, file, at_least=at_least)
     if isinstance(rgb, ImageFile.ImageFile):
         rgb = rgb.copy()  # a plain image, without the file it came from
     rgb.info = {}  # its EXIF would turn it a second time

@@ -37,8 +37,8 @@ class Page:
     damaged: list[Path]
 
 
-def listed(catalog: Catalog) -> Iterator[Photo]:
-    """Every photo, in order of row; memory stays small.
+def listed(catalog: Catalog) -> Iterator[tuple[Photo, str]]:
+    """Every photo with its content, in order of row; memory stays small.
 
     Raises:
         StoreError: If the index is compacted meanwhile so that there is no telling where to go on.
@@ -59,7 +59,7 @@ def listed(catalog: Catalog) -> Iterator[Photo]:
         if not page:
             return
         last = [*last, *((row, content) for row, _, content in page)][-_KEPT:]
-        yield from (photo for _, photo, _ in page)
+        yield from ((photo, content) for _, photo, content in page)
 
 
 def pages(catalog: Catalog, look: Callable[[], Snapshot]) -> Iterator[Page]:

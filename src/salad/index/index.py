@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salad.errors import StoreError, WrongModelError
+from salad.images.named import HeldPhoto
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder, verify
 from salad.index.catalog import CATALOG_FILE, Catalog, Committed
@@ -354,7 +355,11 @@ class Index:
 
     def photos(self) -> Iterator[Photo]:
         """Every photo, in order of row; memory stays small."""
-        return listed(self._catalog)
+        return (photo for photo, _ in listed(self._catalog))
+
+    def held_photos(self) -> Iterator[HeldPhoto]:
+        """Every photo as it may be opened, in order of row: only its own content is, whatever lies at its path now."""
+        return (HeldPhoto(photo.path, content) for photo, content in listed(self._catalog))
 
     def pages(self) -> Iterator[Page]:
         """Every photo with its content and descriptor, as one commit holds them, some at a time.

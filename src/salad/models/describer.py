@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
@@ -13,6 +14,7 @@ from PIL import Image
 
 from salad.errors import ModelError, PhotoError
 from salad.images.decode import Pixels, decode, squeeze
+from salad.images.named import HeldPhoto, NamedPhoto, PhotoBelow
 from salad.models.engines import Engine
 from salad.models.torch_engine import TorchEngine
 from salad.network.config import Calibration, ModelConfig, Preprocessing
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
     from salad.models.torch_engine import Network
     from salad.network.config import Output
 
-PhotoLike = str | Path | Image.Image | Pixels
+PhotoLike = str | Path | Image.Image | Pixels | NamedPhoto
+"""A photo to describe: its file, one that an index or a result names, or its pixels."""
 
 
 class DescriberLike(Protocol):
@@ -230,6 +233,8 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> Pixels:
         if photo.shape == (to.height, to.width, 3):
             return photo
         photo = Image.fromarray(photo)
+    if isinstance(photo, HeldPhoto | PhotoBelow):
+        return decode(photo.path, to.height, to.width, to.resample, file=BytesIO(photo.read()))
     # Files are decoded and squeezed in one go: a large JPEG is reduced while it is decoded, everywhere alike. Whatever
     # `Path` takes names a file, entries of `os.scandir` too; it refuses the rest by a TypeError of its own.
     if not isinstance(photo, Image.Image):

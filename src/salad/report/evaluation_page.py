@@ -18,27 +18,39 @@ if TYPE_CHECKING:
 
 LISTED = 20  # leaks and groups that are named
 
+Folders = tuple[Path | None, Path | None]
+"""Where references and queries lie; None where nobody has said."""
 
-def write_report(result: Result, page: Path, model: DescriberLike | None = None) -> tuple[str, ...]:
+
+def write_report(
+    result: Result, page: Path, model: DescriberLike | None = None, *, folders: Folders | None = None
+) -> tuple[str, ...]:
     """Write a result as a page; an older one is replaced whole or not at all.
 
+    A result that was read from a file may be anybody's, and name any file of this machine. So photos are shown from
+    below folders that the caller names, and from nowhere else.
+
     Args:
-        result: What to show; its folders say where the photos are.
+        result: What to show.
         page: The file.
         model: Draws what its dustbin took over the photos; without it, or without a dustbin, they stand alone.
+        folders: Where photos lie now. Not given: where they lay when they were judged, for a result that was judged in
+            this process; nowhere for one that was read from a file.
 
     Returns:
-        Sentences about photos that could not be shown.
+        Sentences about photos that are not shown.
 
     Raises:
         BenchmarkError: If the page cannot be written, or the result has no recall to show.
     """
-    text, missing = draw_report(result, page, model)
+    text, missing = draw_report(result, page, model, folders=folders)
     write_page(page, text)
     return missing
 
 
-def draw_report(result: Result, page: Path, model: DescriberLike | None = None) -> tuple[str, tuple[str, ...]]:
+def draw_report(
+    result: Result, page: Path, model: DescriberLike | None = None, *, folders: Folders | None = None
+) -> tuple[str, tuple[str, ...]]:
     """What `write_report` writes, whose links to photos begin at `page`, and what it returns.
 
     Raises:
@@ -57,9 +69,13 @@ def draw_report(result: Result, page: Path, model: DescriberLike | None = None) 
     marked = {*unplaced, *(n for some in found[:MAPS] for n in some)}
 
     thumbnails = Thumbnails(model)
-    strips = MistakeStrips(result, page, thumbnails)
+    if folders is None:
+        references, queries = result.folders
+        folders = (None, None) if result.from_file else (Path(references), Path(queries))
+    strips = MistakeStrips(result, page, thumbnails, folders)
     mistakes = [(one, [strips.strip(n, marked=n in marked) for n in one.numbers]) for one in shown]
-    missing = thumbnails.missing_note  # only now: the strips have opened the photos
+    # Only now: the strips have opened the photos.
+    missing = (*not_shown(folders), *thumbnails.missing_note) if mistakes else ()
     text = render(
         "evaluation.html.j2",
         result=result,
@@ -75,6 +91,17 @@ def draw_report(result: Result, page: Path, model: DescriberLike | None = None) 
         mistakes=mistakes,
     )
     return text, missing
+
+
+def not_shown(folders: Folders) -> tuple[str, ...]:
+    """What to say of the sides whose photos are not shown, if there are any."""
+    sides = [side for side, folder in zip(("references", "queries"), folders, strict=True) if folder is None]
+    if not sides:
+        return ()
+    return (
+        f"The photos of the {' and '.join(sides)} are not shown, since a saved result may name any file: "
+        f"say where they lie with {' and '.join(f'--{side}' for side in sides)}.",
+    )
 
 
 def notes(result: Result, missing: tuple[str, ...]) -> list[str]:

@@ -12,7 +12,6 @@ import colorsys
 import io
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from salad.errors import ModelError
 
 if TYPE_CHECKING:
-    from salad.models.describer import DescriberLike, TokenAssignment
+    from salad.models.describer import DescriberLike, PhotoLike, TokenAssignment
 
 
 # Colours of the dustbin's heat: a little, as the photo's mean and more, all of a token.
@@ -31,7 +30,7 @@ EMBER = ((255, 196, 61), (226, 61, 40), (122, 14, 66))
 RIGHT, WRONG, PLAIN = (15, 124, 134), (208, 72, 38), (120, 124, 130)
 
 
-def share_of(model: DescriberLike, photo: str | Path | Image.Image) -> TokenAssignment | None:
+def share_of(model: DescriberLike, photo: PhotoLike) -> TokenAssignment | None:
     """Where a photo's tokens went, or None for a model without a dustbin."""
     assigned = getattr(model, "token_assignment", None)
     if assigned is None:

@@ -12,6 +12,7 @@ from urllib.parse import quote_from_bytes
 
 from salad.evaluation.result import QueryResult, Result
 from salad.geo import told_metres
+from salad.images.named import PhotoBelow
 from salad.report.page import ordinal
 from salad.report.strips import CaptionPart, Figure, Strip, Thumbnails
 
@@ -120,11 +121,13 @@ class MistakeStrips:
         result: What the queries are of.
         page: Where the page will stand, since its links to photos begin there.
         thumbnails: Of the page's photos.
+        folders: That references and queries are shown from; None for a side that is not shown.
     """
 
     result: Result
     page: Path
     thumbnails: Thumbnails
+    folders: tuple[Path | None, Path | None]
 
     def strip(self, number: int, *, marked: bool) -> Strip:
         """One query's strip.
@@ -150,12 +153,14 @@ class MistakeStrips:
         return Strip(number + 1, outcome(one), in_words(one), one.query, figures, one.group or "", marked=marked)
 
     def _photo(self, kind: str, side: int, name: str, role: str, *words: CaptionPart) -> Figure:
-        path = Path(self.result.folders[side], name)
-        small = self.thumbnails.of(path, name, side=SIDE)
-        caption = (*words, CaptionPart(name, "name"))
+        folder, caption = self.folders[side], (*words, CaptionPart(name, "name"))
+        if folder is None:
+            return Figure(kind, None, f"{name} is not shown", caption=caption)
+        photo = PhotoBelow(folder, name, links=not self.result.from_file)
+        small = self.thumbnails.of(photo, name, side=SIDE)
         if small is None:
             return Figure(kind, None, f"{name} cannot be opened any more", caption=caption)
-        return Figure(kind, small, f"{role} {name}", link(path, self.page), caption)
+        return Figure(kind, small, f"{role} {name}", link(photo.path, self.page), caption)
 
 
 def link(photo: Path, page: Path) -> str:

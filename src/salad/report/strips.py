@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from PIL import Image
 
 from salad.errors import PhotoError
-from salad.images.decode import open_rgb
+from salad.images.decode import decode, open_rgb
+from salad.images.named import NamedPhoto
 from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_of
 from salad.report.page import several
 
 if TYPE_CHECKING:
-    from salad.models.describer import DescriberLike
+    from salad.models.describer import DescriberLike, PhotoLike
 
 QUALITY = 76  # of the JPEGs inside a page: at these sizes more is not seen, and a page is mailed around
 
@@ -52,36 +54,38 @@ class Thumbnails:
     clusters: bool = False
     missing: list[str] = field(default_factory=list)
     dustbins: list[float] = field(default_factory=list)
-    _drawn: dict[tuple[Path, int], Thumbnail | None] = field(default_factory=dict)
+    _drawn: dict[tuple[Path | NamedPhoto, int], Thumbnail | None] = field(default_factory=dict)
 
-    def of(self, path: Path, name: str, *, side: int) -> Thumbnail | None:
+    def of(self, photo: Path | NamedPhoto, name: str, *, side: int) -> Thumbnail | None:
         """A photo with its layers, or None where it cannot be opened.
 
         Args:
-            path: The file.
+            photo: The file, which a path alone vouches for, or a photo that an index or a result names.
             name: What to call it among the `missing`.
             side: Pixels of its longer side at most.
         """
-        if (path, side) not in self._drawn:
+        if (photo, side) not in self._drawn:
             try:
-                self._drawn[path, side] = self._draw(path, side)
+                self._drawn[photo, side] = self._draw(photo, side)
             except (PhotoError, OSError, ValueError):  # the last: a name from a file that no system takes
                 self.missing.append(name)
-                self._drawn[path, side] = None
-        return self._drawn[path, side]
+                self._drawn[photo, side] = None
+        return self._drawn[photo, side]
 
-    def _draw(self, path: Path, side: int) -> Thumbnail:
-        photo, layers = open_rgb(path), {}
-        # The model reads the file itself: the photo for people is decoded otherwise than one for a model.
-        share = None if self.model is None else share_of(self.model, path)
+    def _draw(self, photo: Path | NamedPhoto, side: int) -> Thumbnail:
+        # What others name is read once, and shown to people and to the model is what was checked.
+        path, file = (photo, None) if isinstance(photo, Path) else (photo.path, BytesIO(photo.read()))
+        shown, layers = open_rgb(path, file=file), {}
+        # Decoded anew for the model: the photo for people is decoded otherwise.
+        share = None if self.model is None else share_of(self.model, _for_model(self.model, path, file))
         if share is not None:
             self.dustbins.append(float(share.dustbin.mean()))
             layers["dustbin"] = data_uri(dustbin_layer(share))
             if self.clusters:
                 layers["clusters"] = data_uri(cluster_layer(share))
         # Never enlarged: a small photo stays its own size.
-        photo.thumbnail((side, side), Image.Resampling.LANCZOS)
-        return Thumbnail(data_uri(photo, quality=QUALITY), photo.width, photo.height, layers)
+        shown.thumbnail((side, side), Image.Resampling.LANCZOS)
+        return Thumbnail(data_uri(shown, quality=QUALITY), shown.width, shown.height, layers)
 
     @property
     def missing_note(self) -> tuple[str, ...]:
@@ -97,6 +101,13 @@ class Thumbnails:
     def dustbin(self) -> float | None:
         """What the dustbin took over all photos, as a share; None where there is none."""
         return sum(self.dustbins) / len(self.dustbins) if self.dustbins else None
+
+
+def _for_model(model: DescriberLike, path: Path, file: BytesIO | None) -> PhotoLike:
+    if file is None:
+        return path
+    to = model.preprocessing
+    return decode(path, to.height, to.width, to.resample, file=file)
 
 
 class CaptionPart(NamedTuple):
