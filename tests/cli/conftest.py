@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from canary import Canary, seen
 from salad.cli.main import run
 from salad.geo import GeoPoint, shifted
 from salad.images.metadata import save_jpeg
@@ -70,9 +71,26 @@ def place(number: int) -> GeoPoint:
     return shifted(HOME, 200.0 * number, 0.0)
 
 
+@pytest.fixture
+def tmp_path(tmp_path: Path) -> Path:
+    """Where a test works: empty, and beside it lies the canary."""
+    room = tmp_path / "room"
+    room.mkdir()
+    return room
+
+
+@pytest.fixture(autouse=True)
+def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No command touches what lies beside the folder it runs in, nor makes anything there."""
+    watched = Canary.beside(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    yield
+    assert watched.changes() == []
+
+
 @pytest.fixture(scope="session")
-def photos(tmp_path_factory: pytest.TempPathFactory) -> Photos:
-    """Never written to by a test."""
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Photos]:
+    """Never written to by a command."""
     made = Photos(tmp_path_factory.mktemp("references"), tmp_path_factory.mktemp("queries"))
     for number, name in enumerate(NAMES):
         save_jpeg(
@@ -83,7 +101,9 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Photos:
             time=datetime(2024, 5, 1 + number, 12),
         )
         save_jpeg(street(number, side=120), made.queries / name)
-    return made
+    before = [seen(folder) for folder in (made.references, made.queries)]
+    yield made
+    assert [seen(folder) for folder in (made.references, made.queries)] == before
 
 
 @pytest.fixture
