@@ -10,12 +10,14 @@ Names are brought in when they are first used, so importing the package is insta
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from salad._moved import find_former_modules
 from salad._version import __version__
 
+TYPE_CHECKING = False  # typing takes longer to load than all of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from salad.errors import SaladError
     from salad.evaluation.evaluate_benchmark import evaluate
     from salad.geo import GeoPoint

@@ -9,11 +9,14 @@ gives an empty one in its place; where a package is still there but no longer ho
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from importlib import import_module
 from importlib.machinery import ModuleSpec
-from types import ModuleType
-from typing import Any
+
+TYPE_CHECKING = False  # typing takes longer to load than all of this
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+    from typing import Any
 
 DROPPED_IN = "0.2.0"
 MOVED_MODULES = {  # with all they held

@@ -135,9 +135,10 @@ def write_whole(path: Path, content: bytes) -> None:
     try:
         part.write_bytes(content)
         part.replace(path)
-    except OSError:
+    except OSError as error:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+        error.filename, error.filename2 = os.fspath(path), None  # of a full disk the system names no file at all
         raise
 
 

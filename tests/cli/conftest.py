@@ -113,10 +113,7 @@ def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
     def call(*arguments: object, stdin: str = "") -> Ran:
         monkeypatch.setattr(sys, "stdin", io.StringIO(stdin))
         capsys.readouterr()
-        try:
-            code: Any = run([str(argument) for argument in arguments])
-        except SystemExit as left:  # tyro leaves by itself after help, and after arguments it cannot take
-            code = left.code
+        code = run([str(argument) for argument in arguments])
         return Ran(code, *capsys.readouterr())
 
     return call

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +66,7 @@ def test_help_loads_nothing_heavy() -> None:
     script = (
         "import sys, salad.cli.main\n"
         "for line in (['--help'], *([name, '--help'] for name in salad.cli.main.COMMANDS)):\n"
-        "    try: salad.cli.main.run(line)\n"
-        "    except SystemExit as left: assert left.code == 0\n"
+        "    assert salad.cli.main.run(line) == 0\n"
         "heavy = {'torch', 'numpy', 'PIL', 'rich', 'jaxtyping', 'lightning_fabric', 'kornia', 'scipy'}\n"
         "heavy &= set(sys.modules)\n"
         "sys.exit(f'loaded: {heavy}' if heavy else 0)\n"
@@ -137,13 +138,92 @@ def test_an_error_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None
         run(["info", "x"])
 
 
-def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+LINES = [["weights", "list"], ["--help"], ["locate", "--help"], ["--version"]]
+
+
+@pytest.mark.parametrize("line", LINES, ids=" ".join)
+def test_a_reader_that_has_seen_enough_is_no_error(line: list[str]) -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    command = [sys.executable, "-m", "salad", "weights", "list"]
+    command = [sys.executable, "-m", "salad", *line]
     ran = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, encoding="utf-8", check=False)
     os.close(writing)
     assert (ran.returncode, ran.stderr) == (0, "")
+
+
+@pytest.fixture
+def full() -> Iterator[int]:
+    """A file that takes nothing."""
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no device that is always full")
+    with Path("/dev/full").open("wb") as device:
+        yield device.fileno()
+
+
+@pytest.mark.parametrize("line", LINES, ids=" ".join)
+def test_a_full_disk_under_stdout_is_told(line: list[str], full: int) -> None:
+    command = [sys.executable, "-m", "salad", *line]
+    ran = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, encoding="utf-8", check=False)
+    assert ran.returncode == 2
+    assert ran.stderr == (
+        "salad: standard output cannot be written (No space left on device): make room, or write it elsewhere\n"
+    )
+
+
+def test_talk_that_nobody_can_hear_stops_nothing(full: int) -> None:
+    command = [sys.executable, "-m", "salad", "info", "nothing"]
+    assert subprocess.run(command, stderr=full, check=False).returncode == 2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes the streams")
+@pytest.mark.parametrize(("line", "code"), [(["weights", "list"], 0), (["nope"], 2), (["index", "-", "--to", "x"], 2)])
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&- <&-"])
+def test_streams_may_be_closed(line: list[str], code: int, closed: str, tmp_path: Path) -> None:
+    if "-" in line and "<" not in closed:
+        closed += " </dev/null"
+    command = ["/bin/sh", "-c", f'exec "$@" {closed}', "sh", sys.executable, "-m", "salad", *line]
+    ran = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
+    assert ran.returncode == code
+    assert "Traceback" not in ran.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            OSError(errno.ENOSPC, "No space left on device", "a.csv"),
+            "a.csv cannot be read or written (No space left on device): make room, or write elsewhere",
+        ),
+        (
+            PermissionError(errno.EACCES, "Permission denied", b"a"),
+            "a cannot be read or written (Permission denied): check that you may read and write there",
+        ),
+        (
+            OSError(errno.EXDEV, "Invalid cross-device link", "a", None, "b"),
+            "a or b cannot be read or written (Invalid cross-device link): check the name and permissions",
+        ),
+        (OSError("odd"), "a file cannot be read or written (odd): check the name and permissions"),
+    ],
+)
+def test_what_the_system_refuses_is_a_sentence_that_names_the_file(
+    error: OSError, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("salad.index.index.Index.open", refuse)
+    assert run(["info", "x"]) == 2
+    assert capsys.readouterr().err == f"salad: {told}\n"
+
+
+def test_too_little_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def ask(*_: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("salad.index.index.Index.open", ask)
+    assert run(["info", "x"]) == 2
+    assert capsys.readouterr().err.startswith("salad: this takes more memory than there is")
 
 
 def test_names_of_any_script_come_out_whatever_the_system_s_habit(tmp_path: Path) -> None:

@@ -1,19 +1,19 @@
-"""The command line: `salad --help`."""
+"""The command line: `salad --help`.
+
+Little is imported before it is ready to be stopped: whoever presses Ctrl-C in its first moments gets a sentence too.
+"""
 
 from __future__ import annotations
 
-import operator
-import os
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import make_dataclass
-from functools import reduce
 from importlib import import_module
-from typing import Annotated, Any
 
-from salad._version import __version__
-from salad.cli import terminal
-from salad.errors import SaladError
+from salad.cli import stopping
+
+TYPE_CHECKING = False  # typing takes longer to load than all of this
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from typing import Any
 
 COMMANDS = {  # in the order of `salad --help`: the file in `salad.cli` and the dataclass in it
     "index": "index_command:IndexCommand",
@@ -39,39 +39,69 @@ COMMANDS = {  # in the order of `salad --help`: the file in `salad.cli` and the 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and leave with its exit code: 0, 1 (nothing found), 2 (bad input)."""
-    terminal.settle_streams()
-    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+    stopping.listen()
+    try:
+        from salad.cli import terminal
+
+        terminal.settle_streams()
+        code = run(sys.argv[1:] if arguments is None else arguments)
+    except KeyboardInterrupt as stop:  # as early as that; or again, while what was to be done upon the first was done
+        code, sentence = stopping.told(stop)
+        print(f"salad: {sentence}", file=sys.stderr)  # noqa: T201  # `terminal` may not be there yet
+    stopping.leave()
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command; its exit code."""
+    from salad.cli import terminal
+    from salad.errors import MissingExtraError, SaladError
+
+    try:
+        return _obeyed(arguments)
+    except BrokenPipeError:  # whoever read our output has seen enough: `salad locate ... | head`
+        return terminal.FOUND
+    except BaseException as error:
+        stop = stopping.stopped_by(error)
+        if isinstance(error, SaladError) and not (stop and isinstance(error, MissingExtraError)):
+            terminal.say(f"salad: {error}")
+        elif isinstance(error, OSError):
+            terminal.say(f"salad: {terminal.of_file(error)}")
+        elif isinstance(error, MemoryError) and not stop:
+            terminal.say("salad: this takes more memory than there is: ask for less at a time, or of smaller photos")
+        elif not stop:
+            raise
+        if stop is None:
+            return terminal.BAD_INPUT
+        code, sentence = stopping.told(stop)
+        terminal.say(f"salad: {sentence}")
+        return code
+
+
+def _obeyed(arguments: Sequence[str]) -> int:
+    """Run one command; its exit code, or what went wrong."""
+    from salad._version import __version__
+    from salad.cli import terminal
+
     if list(arguments) == ["--version"]:
         terminal.write(f"salad {__version__}")
         return terminal.FOUND
-    command = parsed(arguments)
     try:
-        code: int = command.run()
-    except SaladError as error:
-        terminal.say(f"salad: {error}")
-        return terminal.BAD_INPUT
-    except KeyboardInterrupt:
-        terminal.say(
-            "salad: interrupted; index, compress, train, compare and weights fetch go on where they stopped when run "
-            "again"
-        )
-        return terminal.INTERRUPTED
-    except BrokenPipeError:  # whoever read our output has seen enough: `salad locate ... | head`
-        # Python writes out stdout once more as it leaves, and would complain of the pipe again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return terminal.FOUND
-    except OSError as error:  # a full disk, a folder that may not be read
-        terminal.say(f"salad: {error}")
-        return terminal.BAD_INPUT
+        with terminal.results():  # help is one
+            command = parsed(arguments)
+    except SystemExit as left:  # behind help, and behind what makes no sense
+        return left.code if isinstance(left.code, int) else terminal.FOUND
+    code: int = command.run()
     return code
 
 
 def parsed(arguments: Sequence[str]) -> Any:
     """The command that arguments ask for, its fields their options; leaves with a sentence where they make no sense."""
+    import operator
+    from dataclasses import make_dataclass
+    from functools import reduce
+    from typing import Annotated
+
     import tyro
     from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
@@ -113,4 +143,6 @@ def commands_for(arguments: Sequence[str]) -> Mapping[str, Any]:
 
 def _stand_in(name: str, told: str) -> type:
     """A command without options."""
+    from dataclasses import make_dataclass
+
     return make_dataclass(name, (), namespace={"__doc__": told})

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO
 
-FOUND, NOTHING, BAD_INPUT, INTERRUPTED = (
-    0,
-    1,
-    2,
-    130,
-)  # 1 as grep has it, 130 as shells have it (128 + SIGINT)
+from salad.errors import SaladError
+
+FOUND, NOTHING, BAD_INPUT = 0, 1, 2  # 1 as grep has it
+_FULL, _LOCKED = "make room, or write elsewhere", "check that you may read and write there"
+_ADVICE = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _FULL),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _LOCKED),
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.EMFILE: "let this process open more files (ulimit -n)",
+    errno.EIO: "the disk may be failing: copy what is on it",
+}
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _FEW = 20  # things named one by one, where there may be a million
 _WIDER_THAN_ANY_TABLE = 10_000  # columns
@@ -25,6 +32,9 @@ Progress = Callable[[int, int | None], None]
 
 def settle_streams() -> None:
     """UTF-8 whatever the system's habit; a file name that is no text passes through rather than fails."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed, as `>&-` does: else the next file opened would be taken for it
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: PTH123, SIM115  # for as long as we run
     for stream, errors in ((sys.stdin, "surrogateescape"), (sys.stdout, "backslashreplace")):
         if isinstance(stream, io.TextIOWrapper):  # tests and notebooks put other things in their place
             stream.reconfigure(encoding="utf-8", errors=errors)
@@ -46,8 +56,22 @@ def say(sentence: str) -> None:
 
     A photo's name may hold anything: what would break the line or command the terminal is shown by its code.
     """
-    shown = _CONTROLS.sub(lambda found: repr(found[0])[1:-1], sentence)
-    print(shown, file=sys.stderr, flush=True)  # noqa: T201  # the one place for talk
+    try:
+        print(escaped(sentence), file=sys.stderr, flush=True)  # noqa: T201  # the one place for talk
+    except OSError:  # nobody listens any more, which is no reason to stop
+        _let_go(sys.stderr)
+
+
+def escaped(text: str) -> str:
+    """A text in one line, with what commands a terminal, or would break the line, shown by its code."""
+    return _CONTROLS.sub(lambda found: repr(found[0])[1:-1], text)
+
+
+def of_file(error: OSError) -> str:
+    """What the system would not do with a file, and what to do about it: a sentence."""
+    names = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
+    advice = _ADVICE.get(error.errno or 0, "check the name and permissions")
+    return f"{' or '.join(names) or 'a file'} cannot be read or written ({error.strerror or error}): {advice}"
 
 
 def first_few(sentences: Sequence[str], *, what: str) -> list[str]:
@@ -58,7 +82,35 @@ def first_few(sentences: Sequence[str], *, what: str) -> list[str]:
 
 def write(text: str) -> None:
     """Write a result to stdout."""
-    print(text, flush=True)  # noqa: T201  # the one place for results
+    with results():
+        print(text)  # noqa: T201  # the one place for results
+
+
+@contextmanager
+def results() -> Iterator[None]:
+    """What is written to stdout in the block of this has left us at its end.
+
+    Raises:
+        BrokenPipeError: If whoever reads it has gone.
+        SaladError: If it cannot be written; where to is not known here.
+    """
+    try:
+        try:
+            yield
+        finally:  # help leaves the process, with what it said still in the buffer
+            sys.stdout.flush()
+    except OSError as error:
+        _let_go(sys.stdout)
+        if isinstance(error, BrokenPipeError):
+            raise
+        reason = error.strerror or error
+        raise SaladError(f"standard output cannot be written ({reason}): make room, or write it elsewhere") from error
+
+
+def _let_go(stream: TextIO) -> None:
+    """Let what a stream holds still go nowhere: Python writes it out once more as it leaves, and would complain."""
+    with suppress(OSError, AttributeError):  # what tests put in its place is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def write_json(value: Any) -> None:
@@ -70,12 +122,11 @@ def write_table(table: Any) -> None:
     """Write one of rich's tables: drawn for a terminal of its width, in full where it is piped."""
     from rich.console import Console
 
-    console = Console()
-    console = Console(width=console.width if console.is_terminal else _WIDER_THAN_ANY_TABLE)
-    # Written by `write`: rich itself would leave with 1 where a pipe is closed.
-    with console.capture() as drawn:
-        console.print(table)
-    write(drawn.get().removesuffix("\n"))
+    ours = Console()
+    drawn = io.StringIO()  # and from there by `write`, which knows what to do where it can be written no further
+    width = ours.width if ours.is_terminal else _WIDER_THAN_ANY_TABLE
+    Console(file=drawn, width=width, force_terminal=ours.is_terminal).print(table)
+    write(drawn.getvalue().removesuffix("\n"))
 
 
 def write_fields(fields: dict[str, Any]) -> None:
