@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import tempfile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from salad.errors import MissingExtraError
-from salad.tables import CsvError, csv_line, read_csv, read_parquet, write_table
+from salad.tables import CsvError, csv_line, read_csv, read_parquet, without_formulas, write_table
 
 # a field of nothing and a line of one such field are written alike, and read as no line
 LINES = st.lists(st.lists(st.text(st.characters(exclude_categories=["Cs"])), min_size=2), max_size=4)
@@ -116,3 +117,23 @@ def test_without_the_extra_it_is_named(tmp_path: Path, monkeypatch: pytest.Monke
         pass
     with pytest.raises(MissingExtraError, match="parquet"):
         list(read_parquet(tmp_path / "t.parquet"))
+
+
+FORMULAS = st.text("=+-@\t\r\na0.e5", max_size=6)
+
+
+@given(text=FORMULAS, number=st.floats(allow_nan=False, allow_infinity=False) | st.integers())
+def test_nothing_for_a_spreadsheet_begins_like_a_formula_but_numbers(text: str, number: float) -> None:
+    word, path, none, *numbers = without_formulas([text, PurePosixPath("a", text), None, number, str(number)])
+    assert numbers == [number, str(number)]
+    assert (none, path) == (None, PurePosixPath("a", text))
+    if str(word)[:1] in set("=+-@\t\r\n"):
+        assert math.isfinite(float(word))
+    assert word in (text, f"'{text}")
+
+
+@given(text=FORMULAS.filter(bool))
+def test_a_path_in_a_spreadsheet_is_the_same_path(text: str) -> None:
+    (shown,) = without_formulas([PurePosixPath(text)])
+    assert str(shown)[0] not in "=+-@\t\r\n"
+    assert PurePosixPath(shown) == PurePosixPath(text)

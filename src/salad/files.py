@@ -11,6 +11,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import stat
 import uuid
 from contextlib import suppress
@@ -18,6 +19,7 @@ from io import BufferedRandom, BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
+_CONTROLS = re.compile(r"[\x7f-\x9f\u2028\u2029]")
 _NO_FILE = "it is no regular file"
 _TEXT_MOST = 1 << 30  # bytes of JSON that are read: a GeoJSON of a million photos has 300 MB
 
@@ -123,6 +125,16 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(text if isinstance(text, str) else text.decode("utf-8"))
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
+
+
+def json_text(value: Any, *, indent: int | None = 2) -> str:
+    """A value as JSON: names in any script stay readable, and what a terminal obeys is written by its code.
+
+    Raises:
+        TypeError: If JSON has no such value.
+    """
+    # Python escapes what JSON's grammar forbids, which the later half of the control characters is not.
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", json.dumps(value, ensure_ascii=False, indent=indent))
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -8,11 +8,12 @@ lacks one, are its reader's own.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from io import StringIO
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from salad.errors import needs_extra
@@ -23,6 +24,8 @@ Header = Callable[[list[str]], Sequence[str]]
 CsvError = csv.Error
 """What is raised in the middle of a text that is no CSV."""
 
+_BEGINS_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+_NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _ROWS = 1000  # of Parquet in memory
 
 
@@ -122,6 +125,20 @@ def csv_line(values: Iterable[object]) -> str:
     line, end = StringIO(newline=""), "\r\n"
     csv.writer(line, lineterminator=end).writerow(values)
     return line.getvalue().removesuffix(end) + "\n"
+
+
+def without_formulas(values: Iterable[object]) -> Iterator[object]:
+    """The same values for a spreadsheet, which takes a text that begins like a formula for one, and runs it.
+
+    Numbers stay bare; a relative path begins with `./` then, and is the same path; any other text begins with an
+    apostrophe, as people write it there. A table that comes back to us is not for spreadsheets, and is exact.
+    """
+    for value in values:
+        text, is_path = str(value), isinstance(value, PurePath)
+        if text[:1] not in _BEGINS_A_FORMULA or (_NUMBER.fullmatch(text) and not is_path):
+            yield value
+        else:
+            yield f"./{text}" if is_path else f"'{text}"
 
 
 def _arrow(doing: str) -> tuple[Any, Any]:

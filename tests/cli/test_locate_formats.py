@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,15 @@ def test_csv_parses_back(names: list[str]) -> None:
             assert {row[column] for column in ("lat", "lon", "radius_m", "confidence", "support")} == {""}
 
 
+def test_no_spreadsheet_takes_a_name_for_a_formula() -> None:
+    names = ["=1+1.jpg", "+a.jpg", "-a.jpg", "@a.jpg", "\ta.jpg", "\ra.jpg", "a=.jpg", "-5"]
+    answers = [salad.Answer(Path(name), salad.Place(GeoPoint(-33.5, -70.25), 25, 0.5, 1), []) for name in names]
+    rows = list(csv.DictReader(io.StringIO(locate_command.as_csv(answers), newline="")))
+    assert [row["query"] for row in rows] == [name if name[0] == "a" else f"./{name}" for name in names]
+    assert [Path(row["query"]) for row in rows] == [Path(name) for name in names]
+    assert {(row["lat"], row["lon"]) for row in rows} == {("-33.500000", "-70.250000")}
+
+
 def test_csv_without_a_match_leaves_it_empty() -> None:
     (row,) = csv.DictReader(io.StringIO(locate_command.as_csv([salad.Answer(Path("a.jpg"), None, [])])))
     assert list(row.values()) == ["a.jpg", *[""] * 7]
@@ -70,6 +80,15 @@ def test_json_keeps_names_readable() -> None:
     assert [one["query"] for one in json.loads(text)] == [str(Path("queries") / name) for name in NAMES]
     assert "東京" in text
     assert "شارع" in text
+
+
+def test_no_format_for_programs_holds_what_a_terminal_obeys() -> None:
+    name = "a\x1b[2J\x9b2J\x85\x7f\u2028.jpg"
+    texts = {form: locate_command.as_text([answer(name)], form) for form in ("json", "geojson", "kml")}
+    for text in texts.values():
+        assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f]", text)
+    assert json.loads(texts["json"])[0]["query"] == str(Path("queries") / name)
+    assert json.loads(texts["geojson"])["features"][0]["properties"]["query"] == str(Path("queries") / name)
 
 
 def test_json_of_an_unknown_place_is_null() -> None:

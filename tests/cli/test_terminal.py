@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.table import Table
 
 from salad import __version__
@@ -302,6 +306,61 @@ def test_progress_is_drawn_on_stderr_for_who_watches(
 def test_a_name_cannot_break_the_line_or_command_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     terminal.say("a\nb\x1b[2J\u2028 東京 é.jpg is empty")
     assert capsys.readouterr().err == "a\\nb\\x1b[2J\\u2028 東京 é.jpg is empty\n"
+
+
+COMMANDING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+NAMES = st.text(st.characters(exclude_categories=["Cs"]) | st.sampled_from("\x1b\x9b\u202e\n\r[]:/=a"))
+
+
+class Watched(io.StringIO):
+    """A terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@given(name=NAMES)
+def test_nothing_that_is_written_for_people_commands_a_terminal(name: str) -> None:
+    with pytest.MonkeyPatch.context() as here:
+        here.setenv("TERM", "dumb")  # where rich draws no commands of its own
+        here.setattr(sys, "stdout", Watched())
+        terminal.write(name)
+        terminal.write_line(name)
+        terminal.write_json({name: name})
+        terminal.write_fields({"name": name, "names": [name]})
+        table = Table("name", name, box=None)
+        table.add_row(name, name)
+        terminal.write_table(table)
+        assert not COMMANDING.search(sys.stdout.getvalue())
+
+
+@given(name=NAMES)
+def test_a_result_is_exact_where_a_program_reads_it_and_a_sentence_is_one_line(name: str) -> None:
+    with pytest.MonkeyPatch.context() as here:
+        for write, told in ((terminal.write, f"{name}\n"), (terminal.write_line, f"{terminal.escaped(name)}\n")):
+            here.setattr(sys, "stdout", io.StringIO())
+            write(name)
+            assert sys.stdout.getvalue() == told
+        assert len(terminal.escaped(name).splitlines()) <= 1
+        here.setattr(sys, "stdout", io.StringIO())
+        terminal.write_json([name])
+        assert json.loads(sys.stdout.getvalue()) == [name]
+        assert not COMMANDING.search(re.sub("[\u202a-\u202e\u2066-\u2069]", "", sys.stdout.getvalue()))
+
+
+def test_a_table_takes_no_name_for_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    table = Table("name", box=None)
+    table.add_row("[red]a[/b] :smile:")
+    terminal.write_table(table)
+    assert "[red]a[/b] :smile:" in capsys.readouterr().out
+    with terminal.progress("[/b] :smile:") as bar:
+        bar(0, 1)
+
+
+def test_no_name_forges_a_line_of_what_verify_says(cli: Any, city: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("salad.index.index.Index.verify", lambda _: [f"a\n{city} is sound: 6 photos\x1b[8m is damaged"])
+    ran = cli("verify", city)
+    assert (ran.code, ran.out) == (1, f"a\\n{city} is sound: 6 photos\\x1b[8m is damaged\n")
 
 
 @pytest.mark.parametrize(("many", "lines", "last"), [(0, 0, ""), (20, 20, "19"), (1000, 21, "and 980 more are gone")])

@@ -103,11 +103,10 @@ def _cells(row: dict[str, Any], shown: Iterable[str]) -> list[str]:
 
 def _table(names: Iterable[str], rows: Iterable[list[str]]) -> Any:
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(*names, box=None, pad_edge=False, header_style="bold")
     for row in rows:
-        table.add_row(*map(Text, row))  # a folder's name may hold what rich takes for style
+        table.add_row(*(terminal.escaped(cell) for cell in row))
     return table
 
 

@@ -104,7 +104,7 @@ def compare_results(first: Path, other: Path, *, form: Format = "table", seed: i
     # Which queries changed sides at R@1: there is no better lead to why.
     for name, queries in (("won", found[0].won), ("lost", found[0].lost)):
         for line in terminal.first_few([f"{name}: {query}" for query in queries], what=f"queries {name}"):
-            terminal.write(line)
+            terminal.write_line(line)
     return terminal.FOUND
 
 

@@ -65,12 +65,12 @@ class VerifyCommand:
             if str(error) not in wrong:
                 wrong.append(str(error))
         for sentence in wrong:  # to stdout: what is wrong is what was asked for
-            terminal.write(sentence)
+            terminal.write_line(sentence)
         lost = [f"{path} is gone; its descriptor stays until it is removed" for path in gone]
         for sentence in terminal.first_few(lost, what="are gone"):
             terminal.say(sentence)
         if not wrong:
-            terminal.write(f"{self.index} is sound: {held} photos")
+            terminal.write_line(f"{self.index} is sound: {held} photos")
         return terminal.NOTHING if wrong else terminal.FOUND
 
 

@@ -5,7 +5,6 @@ options ──> matches and places ──> a table, JSON, GeoJSON, CSV or KML on
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,6 +27,7 @@ from salad.cli.arguments import (
     positive,
 )
 from salad.errors import PhotoError, SaladError
+from salad.files import json_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -217,12 +217,12 @@ def as_text(answers: Sequence[Answer], form: str) -> str:
 
 def as_json(answers: Sequence[Answer]) -> str:
     """One object a query."""
-    return json.dumps([answer.as_dict() for answer in answers], ensure_ascii=False, indent=2)
+    return json_text([answer.as_dict() for answer in answers])
 
 
 def as_csv(answers: Sequence[Answer]) -> str:
     """One line a query; an unknown place leaves its fields empty."""
-    from salad.tables import csv_line
+    from salad.tables import csv_line, without_formulas
 
     columns = ("query", "lat", "lon", "radius_m", "confidence", "support", "best_match", "best_score")
     lines = [csv_line(columns)]
@@ -232,7 +232,7 @@ def as_csv(answers: Sequence[Answer]) -> str:
         if place:
             found = [*_degrees(place), f"{place.radius_m:.1f}", f"{place.confidence:.3f}", place.support]
         matched = [best.photo.path, f"{best.score:.4f}"] if best else ["", ""]
-        lines.append(csv_line([answer.query, *found, *matched]))
+        lines.append(csv_line(without_formulas([answer.query, *found, *matched])))
     return "".join(lines).removesuffix("\n")  # `terminal.write` ends the last one
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import io
-import json
 import os
 import re
 import sys
@@ -13,6 +12,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 from salad.errors import SaladError
+from salad.files import json_text
 
 FOUND, NOTHING, BAD_INPUT = 0, 1, 2  # 1 as grep has it
 _FULL, _LOCKED = "make room, or write elsewhere", "check that you may read and write there"
@@ -23,7 +23,9 @@ _ADVICE = {
     errno.EMFILE: "let this process open more files (ulimit -n)",
     errno.EIO: "the disk may be failing: copy what is on it",
 }
-_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+# Commands of terminals, ends of lines, and what shows the rest of a line from right to left.
+_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+_BUT_LINES = re.compile(_CONTROLS.pattern.replace(r"\x00-\x1f", r"\x00-\x08\x0b-\x1f"))
 _FEW = 20  # things named one by one, where there may be a million
 _WIDER_THAN_ANY_TABLE = 10_000  # columns
 
@@ -63,8 +65,12 @@ def say(sentence: str) -> None:
 
 
 def escaped(text: str) -> str:
-    """A text in one line, with what commands a terminal, or would break the line, shown by its code."""
-    return _CONTROLS.sub(lambda found: repr(found[0])[1:-1], text)
+    """A text in one line, with what commands a terminal, or would break or turn the line, shown by its code."""
+    return _CONTROLS.sub(_code, text)
+
+
+def _code(found: re.Match[str]) -> str:
+    return found[0].encode("unicode_escape").decode("ascii")
 
 
 def of_file(error: OSError) -> str:
@@ -81,9 +87,18 @@ def first_few(sentences: Sequence[str], *, what: str) -> list[str]:
 
 
 def write(text: str) -> None:
-    """Write a result to stdout."""
+    """Write a result to stdout: exact for a file or a program, and nothing that a terminal would obey."""
+    _put(_BUT_LINES.sub(_code, text) if sys.stdout.isatty() else text)
+
+
+def _put(text: str) -> None:
     with results():
         print(text)  # noqa: T201  # the one place for results
+
+
+def write_line(sentence: str) -> None:
+    """Write a result that is one sentence, whatever the names in it hold: to a program it is one line too."""
+    write(escaped(sentence))
 
 
 @contextmanager
@@ -115,25 +130,32 @@ def _let_go(stream: TextIO) -> None:
 
 def write_json(value: Any) -> None:
     """Write a result as JSON, names in any script left readable."""
-    write(json.dumps(value, ensure_ascii=False, indent=2))
+    write(json_text(value))
 
 
 def write_table(table: Any) -> None:
     """Write one of rich's tables: drawn for a terminal of its width, in full where it is piped."""
     from rich.console import Console
+    from rich.segment import Segment, Segments
 
     ours = Console()
-    drawn = io.StringIO()  # and from there by `write`, which knows what to do where it can be written no further
+    drawn = io.StringIO()  # and from there by `_put`, which knows what to do where it can be written no further
     width = ours.width if ours.is_terminal else _WIDER_THAN_ANY_TABLE
-    Console(file=drawn, width=width, force_terminal=ours.is_terminal).print(table)
-    write(drawn.getvalue().removesuffix("\n"))
+    # A name is no markup, whatever brackets and colons it has.
+    console = Console(file=drawn, width=width, force_terminal=ours.is_terminal, markup=False, emoji=False)
+    # What rich draws commands the terminal; what it is given must not, and so is looked at before.
+    plain = (
+        Segment(_BUT_LINES.sub("\N{REPLACEMENT CHARACTER}", text), style) for text, style, _ in console.render(table)
+    )
+    console.print(Segments(plain), end="")
+    _put(drawn.getvalue().removesuffix("\n"))
 
 
 def write_fields(fields: dict[str, Any]) -> None:
     """Write names and values under one another, for people."""
     wide = max(map(len, fields), default=0)
     for name, value in fields.items():
-        write(f"{name.replace('_', ' '):<{wide}}  {_for_people(value)}")
+        write_line(f"{name.replace('_', ' '):<{wide}}  {_for_people(value)}")
 
 
 def _for_people(value: Any) -> str:
@@ -152,11 +174,11 @@ def progress(doing: str) -> Iterator[Progress]:
 
     console = Console(stderr=True)
     columns = (
-        *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()),
+        *(TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn()),
         *(TextColumn("{task.fields[rate]}"), TimeRemainingColumn()),
     )
     with Bar(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(doing, total=None, rate="")
+        task = bar.add_task(escaped(doing), total=None, rate="")
 
         def report(done: int, total: int | None) -> None:
             speed = bar.tasks[0].speed

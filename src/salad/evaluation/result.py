@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,7 +22,7 @@ from salad.evaluation.leaks import Leak
 from salad.evaluation.metrics import Answers, Distances, PrecisionRecall
 from salad.files import write_whole
 from salad.images.photo import Photo
-from salad.tables import csv_line
+from salad.tables import csv_line, without_formulas
 
 FORMAT = 1  # another where a file written before could no longer be read
 COLUMNS = (
@@ -281,12 +281,12 @@ def as_csv(result: Result) -> str:
     """One line a query; what is not known leaves its field empty."""
     lines = [csv_line(COLUMNS)]
     for one in result.per_query:
-        best = result.known[one.matches[0]].name if one.matches else ""
+        best = PurePosixPath(result.known[one.matches[0]].name) if one.matches else ""
         score = f"{one.scores[0]:.6f}" if one.scores else ""
         near = "" if one.metres is None else f"{one.metres:.2f}"
         lat, lon = ("", "") if one.where is None else (f"{degrees:.7f}" for degrees in one.where)
-        known = [one.query, one.group or "", one.positives, one.first_right or "", near]
-        lines.append(csv_line([*known, best, score, int(one.hit(1)), lat, lon]))
+        known = [PurePosixPath(one.query), one.group or "", one.positives, one.first_right or "", near]
+        lines.append(csv_line(without_formulas([*known, best, score, int(one.hit(1)), lat, lon])))
     return "".join(lines)
 
 

@@ -22,6 +22,7 @@ from typing import Any, Literal
 import numpy as np
 
 from salad.errors import PhotoError, PositionError, StoreError, WrongModelError
+from salad.files import json_text
 from salad.geo import GeoPoint
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder
@@ -83,8 +84,8 @@ def _write_geojson(path: Path) -> Iterator[Callable[[Iterable[Record]], None]]:
                     "geometry": None if lat is None else {"type": "Point", "coordinates": [lon, lat]},
                     "properties": {name: record[name] for name in COLUMNS if name not in ("lat", "lon")},
                 }
-                text = _is_text(record["path"])  # names that are not UTF-8 are escaped
-                file.write(f"{between}\n{json.dumps(feature, ensure_ascii=not text)}")
+                written = json_text(feature, indent=None) if _is_text(record["path"]) else json.dumps(feature)
+                file.write(f"{between}\n{written}")  # names that are not UTF-8 are escaped
                 between = ","
 
         yield write

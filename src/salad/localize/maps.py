@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Sequence
@@ -10,6 +9,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+from salad.files import json_text
 from salad.geo import GeoPoint, shifted
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 CORNERS = 32  # of the polygon that stands for a circle: neither format has circles
-# What XML 1.0 has no way to write, not even escaped; a file's name may hold it.
-_NOT_XML = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# What XML 1.0 has no way to write, not even escaped, and the controls that it has; a file's name may hold both.
+_NO_TEXT = re.compile("[^\t\n\x20-\x7e\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def as_geojson(answers: Sequence[Answer]) -> str:
@@ -40,7 +40,7 @@ def as_geojson(answers: Sequence[Answer]) -> str:
                 line = [here, _lon_lat(match.photo.where, place.where)]
                 name, score = str(match.photo.path), match.score
                 features.append(_feature("LineString", line, query=query, kind="match", match=name, score=score))
-    return json.dumps({"type": "FeatureCollection", "features": features}, ensure_ascii=False, indent=2)
+    return json_text({"type": "FeatureCollection", "features": features})
 
 
 def as_kml(answers: Sequence[Answer]) -> str:
@@ -134,8 +134,8 @@ def _utc(time: datetime) -> datetime:
 
 
 def _put(parent: ElementTree.Element, name: str, *words: str) -> None:
-    """A child with a text; letters that XML cannot hold become the replacement character."""
-    ElementTree.SubElement(parent, name).text = _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", " ".join(words))
+    """A child with a text; what XML cannot hold, or a terminal obeys, becomes the replacement character."""
+    ElementTree.SubElement(parent, name).text = _NO_TEXT.sub("\N{REPLACEMENT CHARACTER}", " ".join(words))
 
 
 def _as_text(root: ElementTree.Element) -> str:
