@@ -1,22 +1,27 @@
 """Tables, whatever they list: CSV with the columns' names in its first line, and Parquet where pyarrow is there.
 
 What CSV is in the wild is decided here for everybody: UTF-8 with or without a mark, commas, quotes around whatever
-holds a comma or an end of line, blank lines passed over. Which columns a table needs, and the sentence where it
-lacks one, are its reader's own.
+holds a comma or an end of line, blank lines passed over; and so is what a number is. Which columns a table needs, and
+the sentence where it lacks one, are its reader's own. A table may be anybody's: it is read from a file and from
+nothing else, and no line or value of it is longer than one can be.
 """
 
 from __future__ import annotations
 
 import csv
+import io
+import itertools
+import math
+import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from io import StringIO
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, TextIO
 
 from salad.errors import needs_extra
+from salad.files import open_file
 
 Header = Callable[[list[str]], Sequence[str]]
 """Takes the columns' names as a table has them, and gives what to call them; or raises, where one is missing."""
@@ -24,9 +29,80 @@ Header = Callable[[list[str]], Sequence[str]]
 CsvError = csv.Error
 """What is raised in the middle of a text that is no CSV."""
 
+LONGEST_LINE = 1 << 20
+"""Letters of a line of text that are read; the photos right for a query, or found for it, may be thousands."""
+LONGEST_TEXT = 1 << 16
+"""Letters of a value of a table; a path has at most half as many on any system."""
+
 _BEGINS_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-_NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _ROWS = 1000  # of Parquet in memory
+_MOST_OF_A_COLUMN = 1 << 29  # bytes of a Parquet file's group of rows, by its own word
+_NUMBER = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,3})?")
+
+
+def number(text: str) -> float:
+    """A number as people and programs write it: `48.1`, `-7`, `1e-05`; blanks around it do no harm.
+
+    Python takes more for a number than any table means by one: `1_0`, the digits of other scripts, `nan`.
+
+    Raises:
+        ValueError: If it is none, or too large for any.
+    """
+    plain = text.strip(" \t")
+    found = float(plain) if _NUMBER.fullmatch(plain) else math.nan
+    if not math.isfinite(found):
+        raise ValueError(f"{shown(text)} is no number")
+    return found
+
+
+def whole(text: str) -> int:
+    """A whole number: `7`, `-12`; blanks around it do no harm.
+
+    Raises:
+        ValueError: If it is none, or has more digits than any number of a table.
+    """
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", plain := text.strip(" \t")):
+        raise ValueError(f"{shown(text)} is no whole number")
+    return int(plain)
+
+
+def shown(value: object, *, most: int = 60) -> str:
+    """A value as a sentence tells it: in quotes, what cannot be seen escaped, and no longer than one reads."""
+    # Cut before it is quoted: a value may fill the memory once, and need not do so twice.
+    said = repr(value[:most] if isinstance(value, str | bytes) else value)
+    cut = isinstance(value, str | bytes) and len(value) > most
+    return f"{said[: most + 2]}{'...' if cut or len(said) > most + 2 else ''}"
+
+
+def read_lines(path: Path, *, errors: str = "strict", longest: int = LONGEST_LINE) -> Iterator[str]:
+    """The lines of a text, one after another, with their ends as they are; memory stays small.
+
+    Args:
+        path: The file, in UTF-8 with or without a mark.
+        errors: What becomes of bytes that are not UTF-8, as `open` has it.
+        longest: Letters that a line may have.
+
+    Raises:
+        OSError: If the file cannot be read, or is none.
+        UnicodeDecodeError: If it is not UTF-8, and `errors` is "strict".
+        ValueError: If a line is longer.
+    """
+    with open_file(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", errors=errors, newline="") as file:
+        yield from bounded_lines(file, longest=longest)
+
+
+def bounded_lines(file: TextIO, *, longest: int = LONGEST_LINE) -> Iterator[str]:
+    """The lines of an open text, such as a list on standard input.
+
+    Raises:
+        ValueError: If a line is longer.
+    """
+    line_number = 0
+    while line := file.readline(longest + 1):
+        line_number += 1
+        if len(line) > longest:
+            raise ValueError(f"line {line_number} has over {longest:,} letters")
+        yield line
 
 
 def read_csv(
@@ -56,38 +132,98 @@ def read_csv(
         UnicodeDecodeError: If it is not UTF-8, and `errors` is "strict".
         CsvError: If it is not CSV.
     """
-    with path.open(encoding="utf-8-sig", errors=errors, newline="") as file:
-        reader = csv.DictReader(file, strict=strict, restval=missing)
-        reader.fieldnames = header(list(reader.fieldnames or []))
-        for fields in reader:
-            yield reader.line_num, fields
+    reader = csv.DictReader(_lines_of_csv(path, errors), strict=strict, restval=missing)
+    reader.fieldnames = header(list(reader.fieldnames or []))
+    for fields in reader:
+        yield reader.line_num, fields
 
 
-def read_parquet(path: Path, header: Header = list) -> Iterator[tuple[int, dict[str, Any]]]:
+def _lines_of_csv(path: Path, errors: str) -> Iterator[str]:
+    try:
+        yield from read_lines(path, errors=errors)
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        raise CsvError(str(error)) from error
+
+
+def read_parquet(
+    path: Path, header: Header = list, *, wanted: Collection[str] | None = None
+) -> Iterator[tuple[int, dict[str, Any]]]:
     """The rows of a Parquet file, one after another; memory stays small.
 
     Args:
         path: The file.
         header: As `read_csv`, where there is any row at all.
+        wanted: Columns that are read, as `header` calls them; all where not given.
 
     Yields:
         The number of the row, from 1, and its values by the columns' names.
 
     Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is no Parquet.
+        OSError: If the file cannot be read, or is none.
+        ValueError: If it is no Parquet, or unpacks to what no table holds.
         MissingExtraError: If pyarrow is not installed.
     """
     pyarrow, parquet = _arrow("reading Parquet")
-    names: Sequence[str] = ()
-    try:
-        batches = parquet.ParquetFile(path).iter_batches(batch_size=_ROWS)
-        rows = (row for batch in batches for row in batch.to_pylist())
-        for number, row in enumerate(rows, start=1):
-            names = names or header(list(row))  # every row has the same columns
-            yield number, dict(zip(names, row.values(), strict=True))
-    except pyarrow.ArrowException as error:
-        raise ValueError(f"it is no Parquet ({error})") from error
+    with open_file(path) as file:
+        try:
+            table = parquet.ParquetFile(file)
+            if not table.metadata.num_rows:
+                return
+            names = dict(zip(table.schema_arrow.names, header(table.schema_arrow.names), strict=True))
+            columns = [column for column, name in names.items() if wanted is None or name in wanted]
+            texts = _checked_columns(pyarrow, table, columns, length=os.fstat(file.fileno()).st_size)
+            # Each text once, and how long it is known before it stands in a thousand rows.
+            table = parquet.ParquetFile(file, read_dictionary=texts)
+            done = itertools.count(1)
+            for batch in table.iter_batches(batch_size=_ROWS, columns=columns):
+                called = [names[column] for column in batch.schema.names]
+                for row in zip(*_plain(batch), strict=True):
+                    yield next(done), dict(zip(called, row, strict=True))
+        except OSError as error:
+            if error.errno is not None:
+                raise
+            raise ValueError(f"it is no Parquet ({error})") from error  # pyarrow's own word for bytes it cannot read
+        except (pyarrow.ArrowException, OverflowError) as error:
+            raise ValueError(f"it is no Parquet ({error})") from error
+
+
+def _checked_columns(pyarrow: Any, table: Any, columns: Sequence[str], *, length: int) -> list[str]:
+    """Those columns that hold texts, none of them, nor any other, more than a table of photos can.
+
+    A few bytes of Parquet can stand for terabytes: one value repeated, or packed zeros.
+    """
+    rows = table.metadata.num_rows
+    if rows > length:  # each names another photo
+        raise ValueError(f"it says it holds {rows:,} rows in {length:,} bytes")
+    for group in range(table.metadata.num_row_groups):
+        for place in range(table.metadata.num_columns):
+            if table.metadata.row_group(group).column(place).total_uncompressed_size > _MOST_OF_A_COLUMN:
+                raise ValueError("a column of it unpacks to more than any table holds")
+    schema, texts = table.schema_arrow, list[str]()
+    for column in columns:
+        kind = schema.field(schema.get_field_index(column)).type
+        wide = pyarrow.types.is_fixed_size_binary(kind) and kind.byte_width > LONGEST_TEXT
+        if pyarrow.types.is_nested(kind) or wide:
+            raise ValueError(f"its column {shown(column)} holds {shown(str(kind))}, neither texts nor numbers")
+        if any(test(kind) for test in (pyarrow.types.is_string, pyarrow.types.is_large_string)):
+            texts.append(column)
+    return texts
+
+
+def _plain(batch: Any) -> list[list[Any]]:
+    """The values of each column, texts not longer than one may be."""
+    longest_of = import_module("pyarrow.compute")
+    columns = []
+    for column in batch.columns:
+        if hasattr(column, "dictionary"):
+            longest = longest_of.max(longest_of.binary_length(column.dictionary)).as_py() or 0
+            if longest > LONGEST_TEXT:
+                raise ValueError(f"it holds a text of {longest:,} bytes")
+            column = column.dictionary_decode()
+        columns.append(column.to_pylist())
+    return columns
 
 
 @contextmanager
@@ -122,7 +258,7 @@ def csv_line(values: Iterable[object]) -> str:
         TypeError: If `values` cannot be gone through.
     """
     # Older Pythons put quotes around an end of line only where it holds a character of their own line's end.
-    line, end = StringIO(newline=""), "\r\n"
+    line, end = io.StringIO(newline=""), "\r\n"
     csv.writer(line, lineterminator=end).writerow(values)
     return line.getvalue().removesuffix(end) + "\n"
 

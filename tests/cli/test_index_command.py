@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from salad.errors import StoreError
+from salad.index import transfer
 from salad.index.index import Index
 from salad.index.transfer import export
 from salad.models.fake import FakeDescriber
@@ -147,6 +151,44 @@ def test_what_cannot_be_taken_leaves_no_index(cli: Any, asked: Any, tmp_path: Pa
     assert ran.code == 2
     assert "as many" in ran.err
     assert not (tmp_path / "city").exists()
+
+
+def test_an_import_that_is_ended_midway_leaves_no_index(
+    cli: Any, asked: Any, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither where it is refused after its first commit, nor where it is killed there."""
+    cli("index", home, "--to", tmp_path / "city")
+    with Index.open(tmp_path / "city") as index:
+        export(index, tmp_path / "out")
+    command = ("index", "--from", tmp_path / "out", "--to", tmp_path / "again")
+    monkeypatch.setattr(transfer, "_COMMIT", 1)  # one photo at a time
+    whole, commits = Index.add, iter(range(6))
+
+    def ended(self: Index, *given: Any, **named: Any) -> int:
+        if next(commits) == 3:
+            raise StoreError("the disk is gone")
+        return whole(self, *given, **named)
+
+    before = sorted(tmp_path.iterdir())
+    with monkeypatch.context() as patch:
+        patch.setattr(Index, "add", ended)
+        ran = cli(*command)
+    assert (ran.code, "the disk is gone" in ran.err) == (2, True)
+    assert sorted(tmp_path.iterdir()) == before
+    script = (
+        "import itertools, os, sys\n"
+        "from salad.index import transfer\n"
+        "from salad.index.index import Index\n"
+        "from salad.cli.main import main\n"
+        "transfer._COMMIT, whole, commits = 1, Index.add, itertools.count()\n"
+        "Index.add = lambda *given, **named: os._exit(9) if next(commits) == 3 else whole(*given, **named)\n"
+        "main(sys.argv[1:])\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, *map(str, command)], check=False)
+    assert killed.returncode == 9
+    assert not (tmp_path / "again").exists()
+    assert cli(*command).code == 0
+    assert held(tmp_path / "again") == held(tmp_path / "city")
 
 
 def test_an_index_that_was_there_stays(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:

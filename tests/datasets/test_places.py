@@ -254,6 +254,6 @@ def test_a_table_that_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytes
     def refused(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "open", refused)
+    monkeypatch.setattr(os, "open", refused)
     with pytest.raises(BenchmarkError, match=r"t\.csv cannot be read \(Permission denied\)"):
         find_places(table)

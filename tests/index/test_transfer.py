@@ -19,10 +19,16 @@ from salad.errors import MissingExtraError, StoreError, WrongModelError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo, content_hash
 from salad.index.index import Index
-from salad.index.transfer import Source, export, merge, model_of, read, take, writer
+from salad.index.photo_list import read, writer
+from salad.index.transfer import Source, export, merge, model_of, take
 
 DIM = 8
 FORMS = ("csv", "geojson", *(["parquet"] if find_spec("pyarrow") else []))
+
+
+def contents(letters: str) -> list[str]:
+    """Content hashes, one a letter."""
+    return [f"{ord(letter):032x}" for letter in letters]
 
 
 def descriptors(count: int, seed: int = 0) -> np.ndarray:
@@ -47,7 +53,7 @@ def index(tmp_path: Path) -> Iterator[Index]:
     """Four photos, and one that was removed between them."""
     with create(tmp_path / "city.index") as made:
         photos = [*PHOTOS[:2], Photo(Path("/photos/removed.jpg")), *PHOTOS[2:]]
-        made.add(photos, descriptors(5), identities=list("abxcd"))
+        made.add(photos, descriptors(5), identities=contents("abxcd"))
         made.remove(["/photos/removed.jpg"])
         yield made
 
@@ -130,7 +136,7 @@ def test_any_table_is_read_as_it_was_written(
 def test_names_that_are_not_text(tmp_path: Path) -> None:
     photo = Photo(Path(os.fsdecode(b"/photos/caf\xe9 \xff.jpg")))
     with create(tmp_path / "i") as index:
-        index.add([photo], descriptors(1), identities=["a"])
+        index.add([photo], descriptors(1), identities=contents("a"))
         for form in ("csv", "geojson"):
             export(index, tmp_path / form, form=form)
             with create(tmp_path / f"back.{form}") as back:
@@ -141,7 +147,7 @@ def test_names_that_are_not_text(tmp_path: Path) -> None:
 def test_parquet_takes_no_name_that_is_not_text(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
     with create(tmp_path / "i") as index:
-        index.add([Photo(Path(os.fsdecode(b"/photos/caf\xe9 \xff.jpg")))], descriptors(1), identities=["a"])
+        index.add([Photo(Path(os.fsdecode(b"/photos/caf\xe9 \xff.jpg")))], descriptors(1), identities=contents("a"))
         with pytest.raises(StoreError, match=r"is not UTF-8, and Parquet holds no other names: export as csv"):
             export(index, tmp_path / "parquet", form="parquet")
         assert not (tmp_path / "parquet").exists()
@@ -276,6 +282,12 @@ def test_a_wrong_row_is_named_by_its_number(tmp_path: Path, foreign: Path) -> No
         take(index, foreign, model="ours")
 
 
+def npy_of(kind: str, shape: str) -> bytes:
+    """A `.npy` file that says this of itself and holds nothing."""
+    head = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': ({shape}), }}".encode()
+    return b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
+
+
 @pytest.mark.parametrize(
     ("raw", "sentence"),
     [
@@ -283,6 +295,14 @@ def test_a_wrong_row_is_named_by_its_number(tmp_path: Path, foreign: Path) -> No
         (b"not an array", r"is no \.npy file"),
         (b"\x93NUMPY\x03\x00", "version 3.0"),
         (b"\x93NUMPY\x01\x00\x76\x00{'descr': 'x'", r"is no \.npy file"),
+        (npy_of("<f4", "3, 1048577"), "holds rows of 1,048,577 numbers"),
+        (npy_of("<f4", "1" + "0" * 17 + ", 8"), r"is cut short .it should hold 1"),
+        (npy_of("<f4", "True, 8"), r"is no \.npy file"),
+        (npy_of("<f4", "-3, 8"), r"is no \.npy file"),
+        (npy_of("<f4", "9" * 26 + ", 8"), r"is no \.npy file"),
+        (npy_of("(" * 900, "3, 8"), r"is no \.npy file"),
+        (npy_of("|V999999", "3, 8"), r"holds '\|V999999' of shape"),
+        (npy_of("<M8[s]", "3, 8"), r"holds '<M8\[s\]' of shape"),
     ],
 )
 def test_what_is_no_npy_is_refused(foreign: Path, raw: bytes, sentence: str) -> None:
@@ -316,27 +336,51 @@ def test_long_headers_and_cut_files(foreign: Path, tmp_path: Path) -> None:
         ("path,lat,lon\na,91,0\n", "latitude 91"),
         ("path,heading\na,1e9\n", "heading '1e9' is not"),
         ("path,time\na,noon\n", r"photo 1: .*noon"),
+        ("path,lat,lon\na,1_0,2\n", "lat '1_0' is not a number of degrees"),
+        ("path,lat,lon\na,1,\uff11\uff12\n", "lon '\uff11\uff12' is not a number"),
+        ("path,lat,lon\na,1e400,2\n", "lat '1e400' is not a number"),
+        ("path,lat,lon\na," + "1" * 5000 + ",2\n", r"lat '1+'\.\.\. is not a number"),
+        ("path,identity\na,\nb," + 31 * "0" + "\n", r"photo 2: its identity '0{31}' is no content hash of 32"),
+        ("path,identity\na," + 32 * "G" + "\n", "photo 1: its identity"),
+        ("path,identity\na," + 32 * "A" + "\n", "photo 1: its identity"),
+        ("path,identity\na,../../" + 26 * "0" + "\n", "photo 1: its identity"),
+        ("path\n" + "a/" * 3000 + "\n", r"photo 1: 'a/a/.*'\.\.\. is no file's name"),
+        ('path,lat\n"' + "a" * 200_000 + '",1\n', "photo 1: field larger"),
+        ("path\n" + "a" * (1 << 21) + "\n", "photo 1: line 2 has over 1,048,576 letters"),
         ('path\n""\n', "'' is no file's name"),
         ('path\n"a\n', "photo 1: "),
     ],
 )
 def test_tables_that_make_no_sense_are_refused(tmp_path: Path, text: str, sentence: str) -> None:
-    (tmp_path / "photos.csv").write_text(text)
-    with pytest.raises(StoreError, match=sentence):
+    (tmp_path / "photos.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(StoreError, match=sentence) as told:
         list(read(tmp_path / "photos.csv"))
+    assert len(str(told.value)) < 500
 
 
 @pytest.mark.parametrize(
     "text",
     [
         *("", "{}", "[]", '{"features": [{}]}', '{"features": [{"properties": null, "geometry": null}]}'),
+        *('{"features": ' + "[" * 100_000, '{"features": [7]}', '{"features": [null]}'),
+        '{"features": [{"properties": {"path": 7}, "geometry": null}]}',
+        '{"features": [{"properties": {"path": "a\\u0000"}, "geometry": null}]}',
+        '{"features": [{"properties": {"path": "\\ud800"}, "geometry": null}]}',
+        '{"features": [{"properties": {"path": "a", "time": 7}, "geometry": null}]}',
+        '{"features": [{"properties": {"path": "a", "heading": {"a": 1}}, "geometry": null}]}',
+        '{"features": [{"properties": {"path": "a", "identity": 7}, "geometry": null}]}',
+        '{"features": [{"properties": {"path": "a"}, "geometry": {"coordinates": [true, false]}}]}',
+        '{"features": [{"properties": {"path": "a"}, "geometry": {"coordinates": [[1, 2], [3, 4]]}}]}',
+        '{"features": [{"properties": {"path": "a"}, "geometry": {"coordinates": [1e400, 4]}}]}',
+        '{"features": [{"properties": {"path": "a"}, "geometry": "here"}]}',
         '{"features": [{"properties": {"path": "a"}, "geometry": {"coordinates": [1]}}]}',
     ],
 )
 def test_geojson_that_makes_no_sense_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "photos.geojson").write_text(text)
-    with pytest.raises(StoreError, match=r"photos\.geojson, photo 1: .*; correct it, or leave it out"):
+    with pytest.raises(StoreError, match=r"photos\.geojson, photo 1: .*; correct it, or leave it out") as told:
         list(read(tmp_path / "photos.geojson"))
+    assert len(str(told.value)) < 500
 
 
 def test_a_table_that_is_not_there_is_a_sentence(tmp_path: Path) -> None:
@@ -376,6 +420,11 @@ def test_the_folder_must_hold_one_of_each(tmp_path: Path, foreign: Path) -> None
         ({"kind": "something else"}, "damaged or not of a salad export"),
         ({"dim": "8"}, "damaged or not of a salad export"),
         ({"model": None}, "damaged or not of a salad export"),
+        ({"model": "\ud800"}, "damaged or not of a salad export"),
+        ({"model": "m" * 5000}, "damaged or not of a salad export"),
+        ({"fingerprint": "\udfff"}, "damaged or not of a salad export"),
+        ({"dim": True}, "damaged or not of a salad export"),
+        ({"more": "m" * 70_000}, "damaged or not of a salad export"),
         ({"dim": 9}, "says descriptors of 9 numbers, but .* holds 8"),
     ],
 )
@@ -385,9 +434,10 @@ def test_a_damaged_export_is_refused(index: Index, tmp_path: Path, change: dict[
     told.write_text(json.dumps(json.loads(told.read_text()) | change))
     with pytest.raises(StoreError, match=sentence):
         model_of(tmp_path / "out")
-    told.write_text("[]")
-    with pytest.raises(StoreError, match="damaged or not of a salad export"):
-        model_of(tmp_path / "out")
+    for text in ("[]", "[" * 100_000, '{"a": ' * 20_000, "\0"):
+        told.write_text(text)
+        with pytest.raises(StoreError, match="damaged or not of a salad export"):
+            model_of(tmp_path / "out")
 
 
 # --- merging ---------------------------------------------------------------------------------
@@ -398,7 +448,7 @@ def test_merging_holds_each_content_once(index: Index, tmp_path: Path) -> None:
         moved = replace(PHOTOS[3], path=Path("/elsewhere/plain.jpg"), where=GeoPoint(1, 2), heading=3.0)
         known = replace(PHOTOS[0], where=GeoPoint(5, 5))
         new, stranger = Photo(Path("/photos/new.jpg")), Photo(PHOTOS[1].path)
-        other.add([moved, known, new, stranger], descriptors(4, 9), identities=["d", "a", "n", "s"])
+        other.add([moved, known, new, stranger], descriptors(4, 9), identities=contents("dans"))
         done = merge(index, other)
         assert (done.added, done.held, done.other, done.damaged) == (1, 2, [PHOTOS[1].path], [])
         learned = replace(PHOTOS[3], where=GeoPoint(1, 2), heading=3.0)

@@ -6,7 +6,6 @@ imports what it needs when it runs, so that a command line that is only looked a
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,25 +129,17 @@ class IndexCommand:
     def _take(self, folder: Path) -> int:
         """Take in what `salad export` or another tool wrote."""
         from salad.index.index import Index
-        from salad.index.transfer import model_of as source_of
-        from salad.index.transfer import take
+        from salad.index.transfer import take, take_as_new
 
         if self.photos or self.table or self.prune:
             raise SaladError("--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune")
-        made = not is_index(self.to)  # then an error leaves nothing behind: see below
-        if made:
-            source = source_of(folder, name=self.model)
-            Index.create(self.to, dim=source.dim, fingerprint=source.fingerprint, model=source.model).close()
-        try:
+        if is_index(self.to):
             with Index.open(self.to) as index:
-                added, held = take(index, folder, model=self.model), len(index)
-                keep_compressed(index)
-        except SaladError:
-            # Only what this command made is taken away, and only while it is empty.
-            with Index.open(self.to) as index:
-                made = made and not len(index)
-            if made:
-                shutil.rmtree(self.to, ignore_errors=True)
-            raise
+                added = take(index, folder, model=self.model)
+        else:
+            added = take_as_new(self.to, folder, model=self.model)
+        with Index.open(self.to) as index:
+            held = len(index)
+            keep_compressed(index)
         terminal.say(f"{self.to}: {added} photos added from {folder}; it holds {held}")
         return terminal.FOUND if held else terminal.NOTHING

@@ -91,8 +91,9 @@ def read_truth(truth_csv: Path, references: PhotoNames, queries: PhotoNames) -> 
             names = (positive.strip() for positive in fields["positives"].split(";"))
             truth[row] = [references.row(name, at) for name in names if name]
     except (OSError, UnicodeDecodeError, CsvError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise BenchmarkError(
-            f"the truth table {truth_csv} cannot be read ({error}): give a CSV file in UTF-8"
+            f"the truth table {truth_csv} cannot be read ({reason}): give a CSV file in UTF-8"
         ) from error
     return truth
 

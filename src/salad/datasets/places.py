@@ -27,7 +27,7 @@ from salad.errors import BenchmarkError, PositionError
 from salad.files import write_whole
 from salad.geo import GeoPoint
 from salad.images.photo import SUFFIXES
-from salad.tables import CsvError, csv_line, read_csv
+from salad.tables import CsvError, csv_line, number, read_csv
 
 PLACES_TABLE = "places.csv"
 """What such a table is called in a folder of sets."""
@@ -98,8 +98,8 @@ def split(
     for city in by_city(places).values():
         # City by city, so that a small one is not held out as a whole by chance.
         aside = set(rng.permutation(len(city))[: round(held_out * len(city))].tolist())
-        for number, place in enumerate(city):
-            (choose if number in aside else learn).append(places[place])
+        for row, place in enumerate(city):
+            (choose if row in aside else learn).append(places[place])
     return learn, choose
 
 
@@ -162,7 +162,7 @@ def _rows(table: Path) -> Iterator[PlaceRow]:
 
 def _row(table: Path, fields: dict[str, str], names: Callable[[Path], frozenset[str]]) -> PlaceRow:
     lat, lon, time, city = (fields.get(column, "").strip() for column in ("lat", "lon", "time", "city"))
-    where = GeoPoint(float(lat), float(lon)) if lat or lon else None
+    where = GeoPoint(number(lat), number(lon)) if lat or lon else None
     path, place = fields["path"].strip(), fields["place"].strip()
     # None holds fields that no column is there for.
     if not path or not place or "\0" in path or None in fields:

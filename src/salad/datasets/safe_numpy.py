@@ -8,6 +8,7 @@ refused by a sentence.
 from __future__ import annotations
 
 import math
+import os
 import pickletools
 import re
 import sys
@@ -16,12 +17,14 @@ import zlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from jaxtyping import Float64, Int64, Shaped
 
 from salad.errors import BenchmarkError
+from salad.files import open_file, read_file
+from salad.npy import read_head
 
 MOST = 1 << 27  # numbers of one file, all its arrays together: a gigabyte of rows
 _PLAIN = re.compile(r"[<>|=]?(?:[iu][1248]|b1|f[248]|[SU][1-9][0-9]{0,4})")
@@ -41,7 +44,8 @@ def plain_array(data: bytes, code: str, shape: tuple[int, ...], fortran: bool, a
     if not _PLAIN.fullmatch(code):
         raise BenchmarkError(f"{at} holds items of the kind {code!r}: only integers, numbers and texts are read")
     kind, count = np.dtype(code), math.prod(shape)
-    if count > MOST or count * kind.itemsize > len(data):
+    # Sides that are multiplied by 0 may be anything, and numpy multiplies them before.
+    if max(count, math.prod(side for side in shape if side)) > MOST or count * kind.itemsize > len(data):
         raise BenchmarkError(f"{at} ends before its {count} items do, or has too many: fetch it again")
     flat = np.frombuffer(data, dtype=kind, count=count)
     return flat.reshape(shape, order="F" if fortran else "C")
@@ -100,6 +104,7 @@ class _Pickle:
         self._memo: dict[int, Any] = {}
         self._encoded = 0
         self._arrays: dict[int, Any] = {}
+        self._lists: set[int] = set()
 
     def items(self, shape: tuple[int, ...]) -> list[Any]:
         """The items of the object array that the pickle holds: ints, texts, arrays and lists of ints."""
@@ -187,6 +192,9 @@ class _Pickle:
         text, coding = arguments  # how protocol 2 writes bytes
         if coding != "latin1":
             raise ValueError(f"it codes bytes as {coding!r}")
+        return self._bytes(text)
+
+    def _bytes(self, text: str) -> bytes:
         self._encoded += len(text)
         if self._encoded > len(self._data):  # each text stands in the file once
             raise ValueError("it repeats itself to fill the memory")
@@ -195,7 +203,7 @@ class _Pickle:
     def _plain(self, item: Any) -> Any:
         """An item as numpy would have it; an array that many items share is made once."""
         if not isinstance(item, _Made):
-            if type(item) in (int, str) or (isinstance(item, list) and all(type(part) is int for part in item)):
+            if type(item) in (int, str) or (isinstance(item, list) and self._whole(item)):
                 return item
             raise TypeError(f"an item is of the kind {type(item).__name__}")
         # Without this a small file could name one large array a million times, and fill the memory with its copies.
@@ -207,12 +215,18 @@ class _Pickle:
                 self._arrays[id(item)] = self._inner(item)
         return self._arrays[id(item)]
 
+    def _whole(self, items: list[Any]) -> bool:
+        """Whether a list holds whole numbers alone; looked through once, however often the file names it."""
+        if id(items) not in self._lists and all(type(part) is int for part in items):
+            self._lists.add(id(items))
+        return id(items) in self._lists
+
     def _inner(self, item: _Made) -> Any:
         _, shape, kind, fortran, raw = _state(item)
         if isinstance(raw, str):  # as Python 2 wrote bytes
-            raw = raw.encode("latin-1")
-        if isinstance(raw, list) and all(type(part) is int for part in raw):
-            return list(raw)
+            raw = self._bytes(raw)
+        if isinstance(raw, list) and self._whole(raw):
+            return raw
         if not isinstance(raw, bytes) or not all(type(side) is int and side >= 0 for side in shape):
             raise TypeError("an array has no shape or no bytes")
         return plain_array(raw, _code(kind), shape, bool(fortran), self._at)
@@ -247,12 +261,9 @@ def _code(kind: Any) -> str:
     return f"{order.decode('ascii') if isinstance(order, bytes) else order}{code}"
 
 
-_MAGIC = b"\x93NUMPY"
-_HEADER = re.compile(  # numpy evaluates this text as Python; a pattern takes the one form that it writes
-    r"\{'descr': *'([^']{1,20})', *'fortran_order': *(True|False), *"
-    r"'shape': *\(((?:[0-9]{1,18}L?, *){0,8}(?:[0-9]{1,18}L?)?)\),? *\}\s*"
-)
-_MOST_BYTES = 1 << 31  # of one array in an .npz, which may say that it unpacks to terabytes
+_MOST_BYTES = 1 << 30  # of a file, and of all arrays in an .npz, which may say that it unpacks to terabytes
+_MOST_OF_A_LIST = 1 << 20  # bytes of a list of what an .npz holds
+_END_OF_ZIP, _END_OF_LARGE_ZIP = b"PK\5\6", b"PK\6\7"
 _ZIP_FAULTS = (
     *(OSError, zipfile.BadZipFile, zlib.error, EOFError),
     *(NotImplementedError, ValueError, RuntimeError),  # an unknown packing, an odd name, a password
@@ -309,6 +320,7 @@ class Arrays:
             BenchmarkError: If it is something else.
         """
         found: list[Int64[np.ndarray, " n"]] = []
+        rows = 0
         for item in self.value:
             array = np.asarray(item) if isinstance(item, int | np.generic | np.ndarray) else None
             if isinstance(item, list) and all(type(part) is int and abs(part) < 1 << 62 for part in item):
@@ -318,9 +330,10 @@ class Arrays:
                 raise BenchmarkError(
                     f"{self.at} should hold rows of references for each query and holds something else"
                 )
+            rows += array.size  # before the array is copied: a file may name one of them a million times
+            if rows > MOST:
+                raise BenchmarkError(f"{self.at} holds more than {MOST} numbers, which no ground truth does")
             found.append(array.ravel().astype(np.int64))
-        if sum(map(len, found)) > MOST:
-            raise BenchmarkError(f"{self.at} holds more than {MOST} numbers, which no ground truth does")
         return found
 
 
@@ -331,7 +344,7 @@ def read_npy(path: Path) -> Arrays:
         BenchmarkError: If it cannot be read, is damaged, or holds anything but integers, numbers and texts.
     """
     try:
-        data = path.read_bytes()
+        data = read_file(path, most=_MOST_BYTES)
     except OSError as error:
         raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name and its rights") from error
     return parse_npy(data, str(path))
@@ -344,14 +357,35 @@ def read_npz(path: Path) -> dict[str, Arrays]:
         BenchmarkError: As `read_npy`.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            found = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            if any(info.file_size > _MOST_BYTES for info in found):
-                raise BenchmarkError(f"{path} unpacks to more than any ground truth does: fetch it again")
-            members = {info.filename: archive.read(info) for info in found}
+        with open_file(path) as file:
+            _check_zip(file)
+            with zipfile.ZipFile(file) as archive:
+                found = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+                if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in found):
+                    raise ValueError("it is packed in a way that numpy never packs")
+                if sum(info.file_size for info in found) > _MOST_BYTES:
+                    raise BenchmarkError(f"{path} unpacks to more than any ground truth does: fetch it again")
+                members = {info.filename: archive.read(info) for info in found}
     except _ZIP_FAULTS as error:
-        raise BenchmarkError(f"{path} is not a whole .npz file ({error}): fetch it again") from error
+        reason = getattr(error, "strerror", None) or error
+        raise BenchmarkError(f"{path} is not a whole .npz file ({reason}): fetch it again") from error
     return {name.removesuffix(".npy"): parse_npy(data, f"{name} in {path}") for name, data in members.items()}
+
+
+def _check_zip(file: BinaryIO) -> None:
+    """Refuse a list of contents that would fill the memory: Python's reader takes it as long as the file says.
+
+    Raises:
+        ValueError: If it is longer than that of a few arrays.
+    """
+    length = file.seek(0, os.SEEK_END)
+    file.seek(max(0, length - (1 << 16) - 42))
+    tail = file.read()
+    at = tail.rfind(_END_OF_ZIP)
+    large = tail[max(0, at - 20) : at].startswith(_END_OF_LARGE_ZIP)
+    if large or int.from_bytes(tail[at + 12 : at + 16], "little") > _MOST_OF_A_LIST:
+        raise ValueError("it lists more than a few arrays")
+    file.seek(0)
 
 
 def parse_npy(data: bytes, at: str) -> Arrays:
@@ -360,14 +394,13 @@ def parse_npy(data: bytes, at: str) -> Arrays:
     Raises:
         BenchmarkError: As `read_npy`.
     """
-    wide = 4 if data[6:7] in (b"\x02", b"\x03") else 2  # bytes that the header's length takes, by the version
-    size = int.from_bytes(data[8 : 8 + wide], "little")
-    header = _HEADER.fullmatch(data[8 + wide : 8 + wide + min(size, 10_000)].decode("latin-1"))
-    if not data.startswith(_MAGIC) or header is None:
-        raise BenchmarkError(f"{at} is not a whole .npy file of plain items: fetch it again, or save it with numpy")
-    code, fortran, sides = header.groups()
-    shape = tuple(int(side.strip(" L")) for side in sides.split(",") if side.strip(" L"))
-    content = data[8 + wide + size :]
-    if code.endswith(("O", "O8", "O4")):
-        return Arrays(_Pickle(content, at).items(shape), at)
-    return Arrays(plain_array(content, code, shape, fortran == "True", at), at)
+    try:
+        head = read_head(BytesIO(data))
+    except ValueError as error:
+        raise BenchmarkError(
+            f"{at} is not a whole .npy file of plain items: fetch it again, or save it with numpy"
+        ) from error
+    content = data[head.start :]
+    if head.code.endswith(("O", "O8", "O4")):
+        return Arrays(_Pickle(content, at).items(head.shape), at)
+    return Arrays(plain_array(content, head.code, head.shape, head.by_columns, at), at)

@@ -16,7 +16,9 @@ from salad.errors import BenchmarkError, StoreError
 from salad.evaluation.result import Ranked, Result, below, folder_of, write_file
 from salad.images.photo import Photo
 from salad.index.vectors import FileRows
+from salad.tables import read_lines, shown
 
+_LONGEST = 1 << 26  # letters of a line: it may rank all of a million references
 _NUMBERS = 1 << 22  # numbers looked at at once: 32 MiB as float64
 
 
@@ -98,7 +100,7 @@ class _Keys:
         """The row; None where no photo is called so."""
         if key in self._twice:
             raise BenchmarkError(
-                f"{at} names {key!r}, which several {self._role} are called: write paths below the folder"
+                f"{at} names {shown(key)}, which several {self._role} are called: write paths below the folder"
             )
         return self._rows.get(key)
 
@@ -121,20 +123,20 @@ def read_rankings(benchmark: Benchmark, path: Path) -> tuple[Ranked, tuple[str, 
     left_out = 0
     try:
         # Names may be in any encoding a file system has; a byte order mark is what Windows editors leave.
-        with path.open(encoding="utf-8-sig", errors="surrogateescape") as lines:
-            for number, line in enumerate(lines, 1):
-                at, words = f"line {number} of {path}", line.split()
-                if not words:
-                    continue
-                row = queries.get(words[0], at)
-                if row is None:
-                    left_out += 1
-                elif row in rankings:
-                    raise BenchmarkError(f"{at} ranks for {words[0]!r} a second time: keep one line a query")
-                else:
-                    rankings[row] = _ranking(words[1:], references, at)
-    except OSError as error:
-        raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name") from error
+        for number, line in enumerate(read_lines(path, errors="surrogateescape", longest=_LONGEST), 1):
+            at, words = f"line {number} of {path}", line.split()
+            if not words:
+                continue
+            row = queries.get(words[0], at)
+            if row is None:
+                left_out += 1
+            elif row in rankings:
+                raise BenchmarkError(f"{at} ranks for {shown(words[0])} a second time: keep one line a query")
+            else:
+                rankings[row] = _ranking(words[1:], references, at)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BenchmarkError(f"{path} cannot be read ({reason}): check the name") from error
     missing = [photo.path for row, photo in enumerate(benchmark.queries) if row not in rankings]
     if missing:
         raise BenchmarkError(
@@ -159,7 +161,8 @@ def _ranking(keys: Sequence[str], references: _Keys, at: str) -> list[int]:
         row = references.get(key, at)
         if row is None:
             raise BenchmarkError(
-                f"{at} names {key!r}, which is no reference of the set: judge rankings on the set they were made on"
+                f"{at} names {shown(key)}, which is no reference of the set: judge rankings on the set they were made "
+                "on"
             )
         rows.append(row)
     if len(set(rows)) != len(rows):

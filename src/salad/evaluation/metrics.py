@@ -8,7 +8,6 @@ the rule of some published protocols), and the protocol says so.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from salad.evaluation.bootstrap import Interval, SamplingDesign, nested, percentile_interval, proportion_interval
+from salad.evaluation.checked import count, interval, real
+from salad.tables import whole
 
 if TYPE_CHECKING:
     from salad.evaluation.result import QueryResult
@@ -161,11 +162,11 @@ class PrecisionRecall:
     def from_dict(cls, read: Mapping[str, Any]) -> PrecisionRecall:
         """What `as_dict` wrote."""
         return cls(
-            float(read["area"]),
-            Interval(*map(float, read["area_interval"])),
-            float(read["recall_at_full_precision"]),
-            Interval(*map(float, read["recall_at_full_precision_interval"])),
-            None if read["threshold"] is None else float(read["threshold"]),
+            real(read["area"]),
+            interval(read["area_interval"]),
+            real(read["recall_at_full_precision"]),
+            interval(read["recall_at_full_precision_interval"]),
+            None if read["threshold"] is None else real(read["threshold"]),
         )
 
 
@@ -225,14 +226,14 @@ class Distances:
     def from_dict(cls, read: Mapping[str, Any]) -> Distances:
         """What `as_dict` wrote."""
         median, low, high = (
-            math.inf if metres is None else float(metres) for metres in (read["median"], *read["median_interval"])
+            math.inf if metres is None else real(metres) for metres in (read["median"], *read["median_interval"])
         )
         return cls(
-            known=operator.index(read["known"]),
+            known=count(read["known"]),
             median=median,
             median_interval=Interval(low, high),
-            within={int(metres): float(percent) for metres, percent in read["within"].items()},
-            within_intervals={int(m): Interval(*map(float, ends)) for m, ends in read["within_intervals"].items()},
+            within={whole(metres): real(percent) for metres, percent in read["within"].items()},
+            within_intervals={whole(metres): interval(ends) for metres, ends in read["within_intervals"].items()},
         )
 
 

@@ -18,11 +18,12 @@ from salad.datasets.compact_lists import PhotoList
 from salad.datasets.folders import frame
 from salad.errors import BenchmarkError
 from salad.evaluation.bootstrap import Interval
+from salad.evaluation.checked import count, exactly, interval, real
 from salad.evaluation.leaks import Leak
 from salad.evaluation.metrics import Answers, Distances, PrecisionRecall
-from salad.files import write_whole
+from salad.files import read_json, write_whole
 from salad.images.photo import Photo
-from salad.tables import csv_line, without_formulas
+from salad.tables import csv_line, whole, without_formulas
 
 FORMAT = 1  # another where a file written before could no longer be read
 COLUMNS = (
@@ -85,15 +86,15 @@ class QueryResult:
             raise ValueError(f"verdict of {sorted(read)}")
         first_right, scores, right = read["first_right"], read["scores"], read["right"]
         return cls(
-            query=_exactly(str, read["query"]),
-            positives=_exactly(int, read["positives"]),
-            first_right=None if first_right is None else _exactly(int, first_right),
-            matches=tuple(_exactly(int, row) for row in read["matches"]),
-            scores=None if scores is None else tuple(map(float, scores)),
-            right=None if right is None else _exactly(int, right),
-            metres=None if read["metres"] is None else float(read["metres"]),
+            query=exactly(str, read["query"]),
+            positives=count(read["positives"]),
+            first_right=None if first_right is None else count(first_right, least=1),
+            matches=tuple(map(count, read["matches"])),
+            scores=None if scores is None else tuple(map(real, scores)),
+            right=None if right is None else count(right),
+            metres=None if read["metres"] is None else real(read["metres"]),
             where=_where(read["where"]),
-            group=None if read["group"] is None else _exactly(str, read["group"]),
+            group=None if read["group"] is None else exactly(str, read["group"]),
         )
 
 
@@ -193,25 +194,26 @@ class Result:
             ValueError: If parts do not fit together.
         """
         names = ("benchmark", "protocol", "model", "fingerprint")
-        counts = ("queries", "references", "unanswerable")
         leaks, curve, metres = read["leaks"], read["precision_recall"], read["metres"]
-        references, queries = (_exactly(str, folder) for folder in read["folders"])
-        names_digest, rows_digest = (_exactly(str, digest) for digest in read["digests"])
+        references, queries = (exactly(str, folder) for folder in read["folders"])
+        names_digest, rows_digest = (exactly(str, digest) for digest in read["digests"])
         result = cls(
-            **{name: _exactly(str, read[name]) for name in names},
-            **{name: _exactly(int, read[name]) for name in counts},
-            recall={int(k): float(percent) for k, percent in read["recall"].items()},
-            seconds=float(read["seconds"]),
-            notes=tuple(_exactly(str, note) for note in read["notes"]),
-            unanswerable_rule=RULES[read["unanswerable_rule"]],
-            intervals={int(k): Interval(*map(float, ends)) for k, ends in read["intervals"].items()},
-            drawn=_exactly(dict, read["drawn"]),
+            **{name: exactly(str, read[name]) for name in names},
+            queries=count(read["queries"]),
+            references=count(read["references"]),
+            unanswerable=count(read["unanswerable"]),
+            recall={count(whole(k), least=1): real(percent) for k, percent in read["recall"].items()},
+            seconds=real(read["seconds"]),
+            notes=tuple(exactly(str, note) for note in read["notes"]),
+            unanswerable_rule=RULES[exactly(str, read["unanswerable_rule"])],
+            intervals={whole(k): interval(ends) for k, ends in read["intervals"].items()},
+            drawn=_drawn(read["drawn"]),
             precision_recall=None if curve is None else PrecisionRecall.from_dict(curve),
             distances=None if metres is None else Distances.from_dict(metres),
-            leaks=None if leaks is None else tuple(Leak(**leak) for leak in leaks),
+            leaks=None if leaks is None else tuple(map(_leak, leaks)),
             per_query=tuple(map(QueryResult.from_dict, read["verdicts"])),
             known={
-                int(row): Reference(_exactly(str, name), _where(where)) for row, (name, where) in read["known"].items()
+                whole(row): Reference(exactly(str, name), _where(where)) for row, (name, where) in read["known"].items()
             },
             folders=(references, queries),
             digests=(names_digest, rows_digest),
@@ -260,10 +262,10 @@ def read_result(path: Path) -> Result:
         BenchmarkError: If it cannot be read, or is not one.
     """
     try:
-        read = json.loads(path.read_bytes())
+        read = read_json(path)
     except OSError as error:
         raise BenchmarkError(f"{path} cannot be read ({error.strerror}): check the name") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise BenchmarkError(f"{path} is no JSON: write it with salad evaluate --save") from error
     if not isinstance(read, dict) or "verdicts" not in read:
         raise BenchmarkError(f"{path} does not say what became of each query: write it with salad evaluate --save")
@@ -314,18 +316,31 @@ def write_file(path: Path, content: bytes) -> None:
         ) from error
 
 
-def _exactly(kind: type, value: Any) -> Any:
-    """The value, which is of that very type: no bool for an int, no list of letters for a str."""
-    if type(value) is not kind:
-        raise TypeError(f"{value!r} is no {kind.__name__}")
-    return value
-
-
 def _where(read: list[float] | None) -> Degrees | None:
     if read is None:
         return None
     lat, lon = read
-    return float(lat), float(lon)
+    return real(lat), real(lon)
+
+
+def _drawn(read: Any) -> dict[str, Any]:
+    """How queries were drawn again, as a page tells it; nothing where they were not."""
+    told: dict[str, Any] = exactly(dict, read)
+    if told:
+        exactly(str, told["by"])
+        for name in ("units", "length", "times", "seed"):
+            count(told[name])
+    return told
+
+
+def _leak(read: Any) -> Leak:
+    leak = Leak(**exactly(dict, read))
+    for number in (leak.query, leak.reference):
+        count(number)
+    for text in (leak.query_path, leak.reference_path, leak.kind):
+        exactly(str, text)
+    real(leak.difference)
+    return leak
 
 
 # Names that outlive the data set's folder: a result says of each photo where it lies below its side's folder, so that

@@ -14,9 +14,11 @@ from pathlib import Path
 from salad.errors import PositionError
 from salad.geo import GeoPoint
 from salad.images.metadata import Position
-from salad.tables import CsvError, read_csv, read_parquet
+from salad.tables import CsvError, number, read_csv, read_parquet, shown
 
 _NEEDED = ("path", "lat", "lon")
+_COLUMNS = (*_NEEDED, "heading", "time")
+_LONGEST_PATH = 4096  # letters; no system opens longer ones
 _LONG_NAME = 40  # characters of a column's name that a sentence tells
 
 
@@ -39,18 +41,19 @@ class Row:
         if None in fields:
             raise ValueError("it has more fields than the header (put names with commas in quotes)")
         # As CSV would hold them. What is not known is None or, by pandas, NaN, which does not equal itself.
-        known = {name: "" if value is None or value != value else value for name, value in fields.items()}
+        columns = {name: fields[name] for name in _COLUMNS if name in fields}
+        known = {name: "" if value is None or value != value else value for name, value in columns.items()}
         times = {name: value.isoformat() for name, value in known.items() if isinstance(value, datetime)}
         texts = {name: times.get(name) or str(value).strip() for name, value in known.items()}
         path, heading, time = (texts.get(column, "") for column in ("path", "heading", "time"))
-        if not path or "\0" in path:
+        if not path or "\0" in path or len(path) > _LONGEST_PATH:
             raise ValueError("its path is empty or no file's name")
         where = GeoPoint(_degrees(texts["lat"], "lat"), _degrees(texts["lon"], "lon"))
         turned = _degrees(heading, "heading") % 360 if heading else None
         try:
             return cls(line, path, Position(where, turned, datetime.fromisoformat(time) if time else None))
         except ValueError:
-            raise ValueError(f"its time {time!r} is not written as 2024-05-31T14:00:00") from None
+            raise ValueError(f"its time {shown(time)} is not written as 2024-05-31T14:00:00") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +152,7 @@ def read_rows(path: Path) -> list[Row]:
         MissingExtraError: If it is Parquet, and pyarrow is not installed.
         PositionError: If the file or a column is missing, or a row makes no sense (named by its line).
     """
-    read = read_parquet if path.suffix.lower() == ".parquet" else read_csv
+    read = partial(read_parquet, wanted=_COLUMNS) if path.suffix.lower() == ".parquet" else read_csv
     rows: list[Row] = []
     try:
         for line, fields in read(path, partial(_header, path)):
@@ -186,7 +189,7 @@ def _header(path: Path, names: list[str]) -> list[str]:
 
 def _degrees(text: str, column: str) -> float:
     with suppress(ValueError):
-        number = float(text)
-        if abs(number) <= 1e6:  # neither nan nor infinite, nor so large that a turn is lost in rounding
-            return number
-    raise ValueError(f"its {column} {text!r} is not a number of degrees")
+        found = number(text)
+        if abs(found) <= 1e6:  # not so large that a turn is lost in rounding
+            return found
+    raise ValueError(f"its {column} {shown(text)} is not a number of degrees")

@@ -9,166 +9,32 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from salad.errors import PhotoError, PositionError, StoreError, WrongModelError
-from salad.files import json_text
-from salad.geo import GeoPoint
+from salad.errors import PhotoError, StoreError, WrongModelError
+from salad.files import read_json
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder
 from salad.index.index import Index
+from salad.index.photo_list import read, writer
 from salad.index.vectors import FileRows, NpyWriter, lengths
 from salad.search.base import UNIT_TOLERANCE
-from salad.tables import CsvError, read_csv, read_parquet, write_table
 
 Form = Literal["csv", "parquet", "geojson"]
-Put = Callable[[Sequence[Photo], Sequence[str]], None]
-Record = Mapping[str, Any]
-
-COLUMNS = ("path", "lat", "lon", "heading", "time", "identity")
-_DEGREES = ("lat", "lon", "heading")
 
 _KIND = "salad export"
 _MODEL, _DESCRIPTORS, _PHOTOS = "model.json", "descriptors.npy", "photos"
 _TABLES = (".csv", ".parquet", ".geojson")
 _COMMIT = 1 << 24  # numbers taken in with one commit
-
-
-@contextmanager
-def writer(path: Path) -> Iterator[Put]:
-    """Begin a table at `path`, of the form its name ends in; what it gives takes photos and their contents.
-
-    CSV keeps every name, even one that is not UTF-8; Parquet cannot. GeoJSON has the photos as points, with null for
-    those without a position.
-
-    Raises:
-        MissingExtraError: If it is to be Parquet, and what writes it is not installed.
-    """
-    kinds = {name: float if name in _DEGREES else str for name in COLUMNS}
-    with _write_geojson(path) if path.suffix == ".geojson" else write_table(path, kinds) as write:
-
-        def put(photos: Sequence[Photo], identities: Sequence[str]) -> None:
-            strange = next((photo.path for photo in photos if not _is_text(str(photo.path))), None)
-            if strange is not None and path.suffix == ".parquet":
-                raise StoreError(
-                    f"{os.fsencode(strange)!r} is not UTF-8, and Parquet holds no other names: export as csv"
-                )
-            pairs = zip(photos, identities, strict=True)
-            write(photo.as_dict() | {"identity": identity} for photo, identity in pairs)
-
-        yield put
-
-
-@contextmanager
-def _write_geojson(path: Path) -> Iterator[Callable[[Iterable[Record]], None]]:
-    with path.open("w", encoding="utf-8") as file:
-        between = ""
-        file.write('{"type": "FeatureCollection", "features": [')
-
-        def write(records: Iterable[Record]) -> None:
-            nonlocal between
-            for record in records:
-                lat, lon = record["lat"], record["lon"]
-                feature = {
-                    "type": "Feature",
-                    "geometry": None if lat is None else {"type": "Point", "coordinates": [lon, lat]},
-                    "properties": {name: record[name] for name in COLUMNS if name not in ("lat", "lon")},
-                }
-                written = json_text(feature, indent=None) if _is_text(record["path"]) else json.dumps(feature)
-                file.write(f"{between}\n{written}")  # names that are not UTF-8 are escaped
-                between = ","
-
-        yield write
-        file.write("\n]}\n")
-
-
-def _is_text(path: str) -> bool:
-    try:
-        path.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
-    """The photos of a table, of the form its name ends in, with their contents where it tells them.
-
-    Columns: `path` (seen from the table's folder), and `lat`, `lon`, `heading`, `time` and `identity` where
-    they are known. More columns do no harm.
-
-    Raises:
-        StoreError: If the table cannot be read, or a line of it makes no sense; it is named.
-        MissingExtraError: If it is Parquet, and what reads it is not installed.
-    """
-    done = 0
-    try:
-        for record in _records(path):
-            yield _photo(record, path.parent)
-            done += 1
-    except OSError as error:
-        raise StoreError(f"{path} cannot be read ({error}): check the name and permissions") from error
-    except (ValueError, KeyError, TypeError, AttributeError, PositionError, CsvError) as error:
-        raise StoreError(f"{path}, photo {done + 1}: {error}; correct it, or leave it out") from error
-
-
-def _records(path: Path) -> Iterator[Record]:
-    match path.suffix.lower():
-        case ".geojson":
-            for feature in json.loads(path.read_text(encoding="utf-8"))["features"]:
-                record, point = dict(feature["properties"]), feature["geometry"]
-                if point is not None:
-                    # GeoJSON's order; a height may follow.
-                    record["lon"], record["lat"], *_ = point["coordinates"]
-                yield record
-        case ".parquet":
-            yield from (record for _, record in read_parquet(path))
-        case _:
-            for _, record in read_csv(path, _header, errors="surrogateescape"):
-                if None in record:
-                    raise ValueError("it has more fields than the first line (put names with commas in quotes)")
-                yield record
-
-
-def _header(names: list[str]) -> list[str]:
-    header = [name.strip().lower() for name in names]
-    if header.count("path") != 1:
-        raise ValueError(f"it needs one column 'path', but has {', '.join(header) or 'none'}")
-    return header
-
-
-def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
-    path, time = record["path"], record.get("time")
-    if not isinstance(path, str) or not path or "\0" in path:
-        raise ValueError(f"{path!r} is no file's name")
-    lat, lon, heading = (_degrees(record.get(name), name) for name in _DEGREES)
-    if (lat is None) != (lon is None):
-        raise ValueError(f"{path} has a latitude or a longitude, but not both")
-    where = GeoPoint(lat, lon) if lat is not None and lon is not None else None
-    when = time if isinstance(time, datetime) else datetime.fromisoformat(time) if time else None
-    turned = heading if heading is None or 0 <= heading <= 360 else heading % 360
-    return Photo(folder / path, where, turned, when), record.get("identity") or None
-
-
-def _degrees(value: object, name: str) -> float | None:
-    if value is None or value == "":
-        return None
-    with suppress(ValueError):
-        number = float(str(value))
-        if math.isnan(number):  # as pandas writes what is not known
-            return None
-        if abs(number) <= 1e6:  # not so large that a turn is lost in rounding
-            return number
-    raise ValueError(f"{name} {value!r} is not a number of degrees")
+_LONGEST = 1 << 16  # bytes of what says whose descriptors they are
+_LONGEST_NAME = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,12 +108,13 @@ def model_of(folder: str | Path, *, name: str | None = None) -> Source:
         return Source(name, f"foreign-{digest}", rows.dim)
     damaged = StoreError(f"{path} is damaged or not of a salad export: export again, or delete it and name --model")
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
+        fields = read_json(path, most=_LONGEST)
         source = Source(fields["model"], fields["fingerprint"], fields["dim"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise damaged from error
-    kinds = [type(value) for value in (source.model, source.fingerprint, source.dim)]
-    if fields.get("kind") != _KIND or kinds != [str, str, int]:
+    if fields.get("kind") != _KIND or not _is_name(source.model) or not _is_name(source.fingerprint):
+        raise damaged
+    if type(source.dim) is not int:
         raise damaged
     if source.dim != rows.dim:
         raise StoreError(
@@ -305,6 +172,35 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
         contents = [content or _content(photo) for photo, content in page]
         added += index.add([photo for photo, _ in page], some, identities=contents)
     return added
+
+
+def take_as_new(to: str | Path, folder: str | Path, *, model: str | None = None) -> int:
+    """Make an index of what `take` takes, which appears whole or not at all, whatever happens meanwhile.
+
+    Args:
+        to: The index's folder; nothing is there, or an empty folder.
+        folder: Where from.
+        model: The model that made the descriptors, where the folder does not say.
+
+    Returns:
+        How many photos it holds.
+
+    Raises:
+        StoreError: If the folder cannot be read or makes no sense, or no index can be made; nothing is left behind.
+    """
+    source = model_of(folder, name=model)
+    with (
+        index_folder.drafted(Path(os.path.realpath(to)), "index") as draft,
+        Index.create(draft, dim=source.dim, fingerprint=source.fingerprint, model=source.model) as index,
+    ):
+        return take(index, folder, model=model)
+
+
+def _is_name(value: Any) -> bool:
+    """Whether an index can bear it: a text, of letters that there are."""
+    if not isinstance(value, str) or len(value) > _LONGEST_NAME:
+        return False
+    return not any("\ud800" <= letter <= "\udfff" for letter in value)
 
 
 def wrong_model(index: Index, folder: Path, model: str, fingerprint: str) -> WrongModelError:

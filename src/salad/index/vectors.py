@@ -8,6 +8,7 @@ the next `add` writes over.
 from __future__ import annotations
 
 import os
+import re
 import threading
 import weakref
 import zlib
@@ -23,6 +24,8 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from salad.errors import StoreError
+from salad.files import open_file
+from salad.npy import read_head
 from salad.search.base import LONGEST_UNIT, UNIT_TOLERANCE, Block, Mask
 
 Half = npt.NDArray[np.float16]
@@ -30,8 +33,9 @@ STORED = np.dtype("<f2")
 
 _BLOCK = 1 << 20  # numbers read, checked or converted in one go: they stay in the processor's cache
 _KEEP = 1 << 28  # numbers that may stay in memory between searches: 512 MiB
-_NPY_TYPES = (np.float16, np.float32, np.float64)
-_NPY_HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+_WIDEST = 1 << 20  # numbers of a descriptor that somebody else made
+_NPY_FLOATS = re.compile(r"[<>=|]?f[248]")
+_NPY_KINDS = re.compile(r"[<>=|]?(?:[biuf][1248]|c(?:8|16)|O)")  # those that numpy has a plain name for
 
 
 class FileRows:
@@ -91,23 +95,23 @@ class FileRows:
             StoreError: If the file is missing or cut short, or holds anything but rows of float16, 32 or 64.
         """
         try:
-            with path.open("rb") as file:
-                # A type of objects, which would be pickled, is a type like any other here.
-                shape, by_columns, dtype = _NPY_HEADS[npy.read_magic(file)](file)
-                start = file.tell()
+            with open_file(path) as file:
+                head = read_head(file, newest=2)
         except OSError as error:
             raise StoreError(f"{path} cannot be read ({error.strerror}): check the name and permissions") from error
-        except KeyError as error:
-            version = ".".join(map(str, error.args[0]))
-            raise StoreError(f"{path} is no .npy file (version {version}): write it with numpy.save") from error
-        except (ValueError, EOFError) as error:
+        except ValueError as error:
             raise StoreError(f"{path} is no .npy file ({error}): write it with numpy.save") from error
-        if len(shape) != 2 or shape[1] < 1 or dtype.type not in _NPY_TYPES or by_columns:
+        shape = head.shape
+        if len(shape) != 2 or shape[1] < 1 or not _NPY_FLOATS.fullmatch(head.code) or head.by_columns:
+            # A kind of objects, which would be pickled, is a kind like any other here.
+            kind = str(np.dtype(head.code)) if _NPY_KINDS.fullmatch(head.code) else repr(head.code)
             raise StoreError(
-                f"{path} holds {dtype} of shape {list(shape)}{' by columns' if by_columns else ''}: "
+                f"{path} holds {kind} of shape {list(shape)}{' by columns' if head.by_columns else ''}: "
                 "descriptors are rows of float16, float32 or float64, one row a photo, in C order"
             )
-        found = cls(path, rows=shape[0], dim=shape[1], stored=dtype, start=start, longest=None)
+        if shape[1] > _WIDEST:  # a file of holes may say what it likes, and one such row would fill the memory
+            raise StoreError(f"{path} holds rows of {shape[1]:,} numbers: a descriptor has {_WIDEST:,} at most")
+        found = cls(path, rows=shape[0], dim=shape[1], stored=np.dtype(head.code), start=head.start, longest=None)
         if found.held < found.rows:
             raise StoreError(f"{path} is cut short (it should hold {found.rows} rows): write it again")
         return found

@@ -22,7 +22,7 @@ from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.datasets.training_place import PlaceRow, Say, TrainingPlace, places_of
 from salad.errors import BenchmarkError, PositionError
 from salad.geo import GeoPoint, in_degrees
-from salad.tables import CsvError, read_csv
+from salad.tables import CsvError, number, read_csv, whole
 
 TABLES, PHOTOS = "Dataframes", "Images"
 
@@ -47,17 +47,19 @@ def _rows(root: Path, table: Path) -> Iterator[PlaceRow]:
     names, line = names_in(folder), 1
     try:
         for line, fields in read_csv(table, strict=False, missing=None):
-            month = f"{int(fields['year']):04d}_{int(fields['month']):02d}"
+            month = f"{whole(fields['year']):04d}_{whole(fields['month']):02d}"
             # lat and lon stand in the name exactly as in the table: as numbers they would lose zeros at their end
             lat, lon, place = fields["lat"], fields["lon"], fields["place_id"]
-            number, heading = int(place), int(fields["northdeg"])
-            stem = f"{fields['city_id']}_{number:07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
+            heading = whole(fields["northdeg"])
+            stem = f"{fields['city_id']}_{whole(place):07d}_{month}_{heading:03d}_{lat}_{lon}_{fields['panoid']}"
             # Photos end in either, and each must be found without a look at the disk.
             name = f"{stem}.JPG" if f"{stem}.jpg" not in names and f"{stem}.JPG" in names else f"{stem}.jpg"
-            where = GeoPoint(float(lat), float(lon))
+            where = GeoPoint(number(lat), number(lon))
             yield PlaceRow(folder / name, name in names, city, place, where, (month, name))
             line += 1  # where the next one begins, should the reader not come to its end
-    except (KeyError, TypeError, ValueError, CsvError, PositionError) as error:
+    except OSError as error:
+        raise BenchmarkError(f"{table} cannot be read ({error.strerror}): fetch it again") from error
+    except (KeyError, AttributeError, ValueError, CsvError, PositionError) as error:
         raise BenchmarkError(f"{table}, line {line}: cannot be read ({error!r})") from error
 
 

@@ -23,7 +23,7 @@ from salad.datasets.compact_lists import PhotoList
 from salad.datasets.coordinates import Coordinates, lat_lon_of
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
-from salad.tables import CsvError, read_csv
+from salad.tables import CsvError, number, read_csv
 
 _TRUTHS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False, "": False}
 
@@ -49,7 +49,8 @@ def columns(table: Path, names: Sequence[str]) -> dict[str, list[str]]:
                     raise BenchmarkError(f"{table}, line {line}: it ends before {name!r}")
                 cells.append(fields[name].strip())
     except (OSError, UnicodeDecodeError, CsvError) as error:
-        raise BenchmarkError(f"the table {table} cannot be read ({error}): fetch it again") from error
+        reason = getattr(error, "strerror", None) or error
+        raise BenchmarkError(f"the table {table} cannot be read ({reason}): fetch it again") from error
     return found
 
 
@@ -63,7 +64,7 @@ def numbers(table: Path, name: str, cells: Sequence[str]) -> Float64[np.ndarray,
     read = np.full(len(cells), math.nan)
     for row, cell in enumerate(cells):
         with suppress(ValueError):
-            read[row] = float(cell)
+            read[row] = number(cell)
         if not math.isfinite(read[row]):
             raise BenchmarkError(f"{table}, row {row + 1}: {name} {cell[:40]!r} is no number: fetch it again")
     return read

@@ -18,6 +18,7 @@ from salad.datasets.readers.base import Layout, Protocol, Radius, Sides
 from salad.datasets.readers.listed_photos import file_of, panoramas, photos_at
 from salad.datasets.safe_numpy import Arrays, read_npz
 from salad.errors import BenchmarkError
+from salad.tables import read_lines
 
 # What the two lists are called where they are arrays in the file: every copy has its own names.
 _LISTS = (("dbImages", "qImages"), ("dbImageFns", "qImageFns"), ("imageNames_index", "imageNames_query"))
@@ -72,10 +73,10 @@ def _lists(root: Path, path: Path, protocol: Protocol, arrays: dict[str, Arrays]
 
 def _lines(path: Path) -> list[str]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchmarkError(f"the list {path} cannot be read ({error}): fetch it again") from error
-    return [line.strip() for line in lines if line.strip()]
+        return [line.strip() for line in read_lines(path) if line.strip()]
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BenchmarkError(f"the list {path} cannot be read ({reason}): fetch it again") from error
 
 
 def _metres(path: Path, given: Arrays, count: int) -> Float64[np.ndarray, "n 2"]:
