@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from salad.errors import StoreError
-from salad.index import transfer
+from salad.index import index_folder, transfer
 from salad.index.index import Index
 from salad.index.transfer import export
 from salad.models.fake import FakeDescriber
@@ -196,3 +197,69 @@ def test_an_index_that_was_there_stays(cli: Any, asked: Any, home: Path, tmp_pat
     (tmp_path / "out").mkdir()
     assert cli("index", "--from", tmp_path / "out", "--to", tmp_path / "city").code == 2
     assert len(held(tmp_path / "city")) == 6
+
+
+# --- two at once ---------------------------------------------------------------------------
+
+INDEXING = """
+import sys
+from salad.cli.main import main
+from salad.index import index_folder, transfer
+from salad.models import model_folder
+from salad.models.fake import FakeDescriber
+make = index_folder.make
+def make_together(*arguments):
+    print("ready", flush=True)
+    sys.stdin.read()  # until all are
+    return make(*arguments)
+index_folder.make = make_together
+model_folder.load = lambda *_, **__: FakeDescriber(dim=64, name="salad-lite")
+main(sys.argv[1:])
+"""
+
+
+def test_who_comes_second_to_a_new_folder_goes_on_with_its_photos(photos: Any, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        command = [sys.executable, "-c", INDEXING, "index", "--to", str(tmp_path / "index")]
+        pipes: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        racing = [
+            stack.enter_context(subprocess.Popen([*command, str(photo)], encoding="utf-8", **pipes))
+            for photo in photos.reference[:4]
+        ]
+        assert [one.stdout.readline() for one in racing if one.stdout] == ["ready\n"] * 4
+        for one in racing:
+            assert one.stdin is not None
+            one.stdin.close()
+        said = [one.stderr.read() for one in racing if one.stderr]
+        assert [one.wait(100) for one in racing] == [0] * 4, said
+    with Index.open(tmp_path / "index") as index:
+        assert sorted(photo.path for photo in index.photos()) == sorted(photos.reference[:4])
+
+
+def test_a_folder_that_another_program_made_meanwhile_is_taken(
+    cli: Any, asked: Any, photos: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = index_folder.make
+
+    def make_second(folder: Path, header: Any) -> Path:
+        make(folder, header)
+        return make(folder, header)
+
+    monkeypatch.setattr(index_folder, "make", make_second)
+    ran = cli("index", photos.reference[0], "--to", tmp_path / "index")
+    assert (ran.code, "it holds 1" in ran.err) == (0, True)
+
+
+def test_an_import_into_a_folder_made_meanwhile_goes_into_that(
+    cli: Any, asked: Any, city: Path, photos: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cli("export", city, "--to", tmp_path / "out").code == 0
+    make = transfer.take_as_new
+
+    def make_second(to: Path, *arguments: Any, **settings: Any) -> int:
+        assert cli("index", photos.query[0], "--to", to).code == 0
+        return make(to, *arguments, **settings)
+
+    monkeypatch.setattr(transfer, "take_as_new", make_second)
+    ran = cli("index", "--from", tmp_path / "out", "--to", tmp_path / "both")
+    assert (ran.code, "6 photos added" in ran.err, "it holds 7" in ran.err) == (0, True, True)

@@ -111,6 +111,10 @@ def test_copies_know_their_place_and_originals_stay(cli: Any, city: Path, photos
     again = cli("locate", photos.query[0], "--index", city, "--write-exif", tmp_path / "new" / "placed")
     assert "exists already" in again.err
     assert "0 copies written" in again.err
+    assert again.code == 2  # what was asked for was not done
+    assert len(again.out.splitlines()) == 2  # and yet the place found is told
+    nothing = cli("locate", photos.query[0], "--index", city, "--write-exif", tmp_path / "b", "--min-confidence", 1)
+    assert nothing.code == 1
 
 
 def test_copies_are_never_written_among_originals(cli: Any, city: Path, photos: Any, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from salad.errors import BenchmarkError, ModelError, SaladError
+from salad.errors import BenchmarkError, ModelError, SaladError, StoreError
 
 if TYPE_CHECKING:
     from salad.datasets.benchmark import Benchmark
@@ -99,9 +99,13 @@ def open_or_create(folder: Path, model: DescriberLike) -> Index:
     """The index in a folder, made for the model where there is none yet."""
     from salad.index.index import Index
 
-    if is_index(folder):
-        return Index.open(folder)
-    return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+    if not is_index(folder):
+        try:
+            return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
+        except StoreError:
+            if not is_index(folder):  # else another program has made one since we looked, and ours go into that
+                raise
+    return Index.open(folder)
 
 
 def model_name_for(folder: Path) -> str:

@@ -29,7 +29,7 @@ from salad.cli.arguments import (
     settle_engine,
 )
 from salad.cli.compress_command import keep_compressed
-from salad.errors import SaladError
+from salad.errors import SaladError, StoreError
 
 if TYPE_CHECKING:
     from salad.images.photo_table import PhotoTable
@@ -133,11 +133,16 @@ class IndexCommand:
 
         if self.photos or self.table or self.prune:
             raise SaladError("--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune")
-        if is_index(self.to):
+        added = None
+        if not is_index(self.to):
+            try:
+                added = take_as_new(self.to, folder, model=self.model)
+            except StoreError:
+                if not is_index(self.to):  # else another program has made one since we looked
+                    raise
+        if added is None:
             with Index.open(self.to) as index:
                 added = take(index, folder, model=self.model)
-        else:
-            added = take_as_new(self.to, folder, model=self.model)
         with Index.open(self.to) as index:
             held = len(index)
             keep_compressed(index)

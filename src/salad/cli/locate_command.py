@@ -163,12 +163,12 @@ class LocateCommand:
             terminal.write_table(as_table(answers))
         else:
             terminal.write(as_text(answers, self.format))
-        if self.write_exif:
-            write_copies(self.write_exif, answers)
+        copied = write_copies(self.write_exif, answers) if self.write_exif else None
         if self.gpx:
             write_track(self.gpx, answers)
         if any(answer.place for answer in answers):
-            return terminal.FOUND
+            # Copies that were asked for and could not be made are no small thing; of some that could, the rest is told.
+            return terminal.BAD_INPUT if copied == 0 else terminal.FOUND
         return terminal.NOTHING if answers else terminal.BAD_INPUT
 
     def _locate(self, paths: list[Path]) -> tuple[list[Answer], list[str]]:
@@ -301,8 +301,12 @@ def check_track(track: Path) -> None:
         raise SaladError(f"--gpx {track} cannot be written: name a file in a folder that is there")
 
 
-def write_copies(folder: Path, answers: Sequence[Answer]) -> None:
-    """Copy each photo that was located into `folder` with its position; say what could not be copied."""
+def write_copies(folder: Path, answers: Sequence[Answer]) -> int:
+    """Copy each photo that was located into `folder` with its position; say what could not be, and how many were.
+
+    Returns:
+        How many copies were written.
+    """
     from salad.images.metadata import copy_with_position
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -317,6 +321,7 @@ def write_copies(folder: Path, answers: Sequence[Answer]) -> None:
         except PhotoError as error:  # one that is no JPEG, say: the others are copied all the same
             terminal.say(str(error))
     terminal.say(f"{folder}: {written} copies written, with their position")
+    return written
 
 
 def write_track(track: Path, answers: Sequence[Answer]) -> None:
