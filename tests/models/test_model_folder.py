@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import pickle
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -166,6 +167,109 @@ def test_a_config_of_no_model_that_can_be_built_is_a_sentence(
     (folder / "config.json").write_text(json.dumps(data))
     with pytest.raises(WeightsError, match=r"model\.safetensors does not describe a model that can be built"):
         load(folder)
+
+
+@pytest.mark.parametrize(
+    ("part", "setting", "value", "said"),
+    [
+        ("preprocessing", "height", 10**9, "at most 4096"),
+        ("preprocessing", "width", 10**5, "at most 4096"),
+        ("aggregator", "clusters", 10**5, "a descriptor of 300004 numbers|of another shape"),
+        ("aggregator", "hidden", 10**9, "of another shape"),
+        ("aggregator", "hidden", 10**18, "cannot|can be built"),
+        ("aggregator", "cluster_dim", 10**12, "a descriptor of"),
+        ("aggregator", "iterations", 10**12, "1000 at most"),
+        ("aggregator", "linear", 10**9, "a descriptor of 1000000000 numbers"),
+    ],
+)
+def test_a_config_without_measure_is_told_before_anything_is_built(
+    folder: Path, part: str, setting: str, value: object, said: str
+) -> None:
+    data = json.loads((folder / "config.json").read_text())
+    data[part][setting] = value
+    (folder / "config.json").write_text(json.dumps(data))
+    with pytest.raises(WeightsError, match=said):
+        load(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"depth": 10**6}, {"depth": 200}, {"width": 10**6}, {"grid": 10**9}, {"patch": 10**5}, {"registers": 10**9}],
+)
+def test_a_transformer_without_measure_is_told_before_anything_is_built(tmp_path: Path, change: dict[str, int]) -> None:
+    folder = write_folder(build(VIT), tmp_path / "vit")
+    data = json.loads((folder / "config.json").read_text())
+    data["backbone"] |= change
+    (folder / "config.json").write_text(json.dumps(data))
+    with pytest.raises(WeightsError, match=r"does not fit the model|does not describe a model"):
+        load(folder)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "1" * 5000, '{"format": true}', '{"format": [1]}'])
+def test_a_config_that_would_end_python_is_a_sentence(folder: Path, text: str) -> None:
+    (folder / "config.json").write_text(text)
+    with pytest.raises(WeightsError, match=r"config\.json (cannot be read|has format)"):
+        load(folder)
+
+
+def test_a_config_or_weights_longer_than_any_are_not_read(folder: Path) -> None:
+    weights = (folder / WEIGHTS).read_bytes()
+    os.truncate(folder / WEIGHTS, 1 << 40)
+    with pytest.raises(WeightsError, match=r"model\.safetensors is longer than 8,589,934,592 bytes"):
+        load(folder)
+    (folder / WEIGHTS).write_bytes(weights)
+    os.truncate(folder / CONFIG, 1 << 40)
+    with pytest.raises(WeightsError, match=r"config\.json cannot be read: it is longer"):
+        load(folder)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices with names are POSIX's")
+@pytest.mark.parametrize("name", [CONFIG, WEIGHTS])
+def test_a_file_of_a_model_that_is_none_is_not_waited_for(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with pytest.raises(WeightsError, match=f"is not a model: it holds no {name}"):
+        load(folder)
+    (folder / name).unlink()
+    (folder / name).symlink_to("/dev/zero")
+    with pytest.raises(WeightsError, match=f"is not a model: it holds no {name}"):
+        load(folder)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices with names are POSIX's")
+@pytest.mark.parametrize("name", ["a.pth", "a.safetensors"])
+def test_a_published_file_that_is_none_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(WeightsError, match="it is no regular file"):
+        load(tmp_path / name)
+
+
+def test_published_tensors_that_are_larger_than_their_file_are_refused(tmp_path: Path) -> None:
+    """One number seen a billion times: its shape is read as the model's width, and memory taken for that."""
+    vast = {key: torch.zeros(1).expand(10**5, 10**4) for key in build(VIT).backbone.state_dict()}
+    torch.save(vast, tmp_path / "a.pth")
+    with pytest.raises(WeightsError, match="more numbers than fit into its"):
+        load(tmp_path / "a.pth")
+
+
+def test_a_packed_file_is_not_unpacked(tmp_path: Path) -> None:
+    _hub(tmp_path / "a.pth")
+    with (
+        zipfile.ZipFile(tmp_path / "a.pth") as plain,
+        zipfile.ZipFile(tmp_path / "b.pth", "w", zipfile.ZIP_DEFLATED) as packed,
+    ):
+        for name in plain.namelist():
+            packed.writestr(name, plain.read(name))
+    with pytest.raises(WeightsError, match="packed, or too long"):
+        load(tmp_path / "b.pth", heads=2)
+
+
+@pytest.mark.parametrize("name", ["blocks.999999.norm1.weight", "blocks." + "9" * 5000 + ".x"])
+def test_blocks_without_end_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(WeightsError, match=r"a\.pth"):
+        load(_hub(tmp_path / "a.pth", **{name: torch.zeros(1)}), heads=2)
+    with pytest.raises(WeightsError, match=r"b\.pth"):
+        load(_hub(tmp_path / "b.pth", pos_embed=torch.zeros(1, 0, 16)), heads=2)
 
 
 def test_a_config_of_another_shape_is_told_by_tensor(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import shutil
 import sys
@@ -201,6 +202,48 @@ def test_what_is_no_graph_is_a_sentence(folder: Path, held: bytes) -> None:
     _as_if_it_belonged(folder)
     with pytest.raises(WeightsError, match=r"graph\.onnx (cannot be run|was made of other settings)"):
         load(folder)
+
+
+@pytest.mark.parametrize("way", ["../elsewhere.data", "n/../../elsewhere", "/no/such/data/xyz"])
+@pytest.mark.parametrize("engine", ["onnx", "openvino"])
+def test_a_graph_that_names_files_outside_its_folder_is_refused(folder: Path, way: str, engine: Any) -> None:
+    """The weights it names are there, and would run."""
+    if engine == "openvino":
+        pytest.importorskip("openvino", reason="the extra fast is not installed")
+    held = (folder / GRAPH).read_bytes()
+    for name in ("../elsewhere.data", "../elsewhere"):
+        (folder / name).write_bytes((folder / WEIGHTS).read_bytes())
+    assert len(way) == len(WEIGHTS) == 17
+    (folder / GRAPH).write_bytes(held.replace(WEIGHTS.encode(), way.encode()))
+    _as_if_it_belonged(folder)
+    with pytest.raises(WeightsError, match=r"graph\.onnx cannot be run"):
+        load(folder, engine=engine)
+
+
+def test_a_graph_longer_than_any_is_not_read(folder: Path) -> None:
+    os.truncate(folder / GRAPH, 1 << 40)
+    with pytest.raises(WeightsError, match=r"graph\.onnx is longer than"):
+        load(folder)
+
+
+def test_a_graph_of_another_length_of_descriptor_is_refused(folder: Path) -> None:
+    """The settings that it says it was made of are changed with those beside it, and its sums agree."""
+    told, held = settings(folder), (folder / GRAPH).read_bytes()
+    before = json.dumps(ModelConfig.from_dict(plain(told)).counted, sort_keys=True)
+    told["aggregator"]["scene_dim"] += 1
+    after = json.dumps(ModelConfig.from_dict(plain(told)).counted, sort_keys=True)
+    assert held.count(before.encode()) == 1
+    assert len(before) == len(after)
+    (folder / GRAPH).write_bytes(held.replace(before.encode(), after.encode()))
+    (folder / CONFIG).write_text(json.dumps(told))
+    _as_if_it_belonged(folder)
+    with pytest.raises(WeightsError, match="gives descriptors of another length"):
+        load(folder)
+
+
+def plain(told: dict[str, Any]) -> dict[str, Any]:
+    """Settings without the words of their folder."""
+    return {name: value for name, value in told.items() if name not in ("format", "files")}
 
 
 def _as_if_it_belonged(folder: Path) -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -45,6 +46,7 @@ from salad.network.config import (
     Preprocessing,
     ResNetConfig,
     ViTConfig,
+    check_sizes,
 )
 
 few = st.integers(1, 4096)
@@ -163,6 +165,14 @@ def test_reading_leaves_the_given_settings_alone() -> None:
         ("preprocessing", "width", "322", "whole pixels"),
         ("preprocessing", "resample", "magic", "bilinear, bicubic"),
         ("preprocessing", "gamma", 2, "gamma"),
+        ("preprocessing", "height", 4097, "at most 4096"),
+        ("preprocessing", "width", 10**9, "at most 4096"),
+        ("preprocessing", "height", 10**400, "at most 4096"),
+        ("preprocessing", "width", 1e3, "whole pixels"),
+        ("preprocessing", "mean", [0.5, 0.5, 10**400], "cannot be read"),
+        ("preprocessing", "mean", [1e300, 0.5, 0.5], "values in 0..1"),
+        ("preprocessing", "std", [1e-300, 0.5, 0.5], "values in 0..1"),
+        ("aggregator", "iterations", 10**9, "1000 at most"),
     ],
 )
 def test_a_damaged_setting_is_named(part: str, setting: str, value: object, said: str) -> None:
@@ -186,6 +196,60 @@ def test_what_is_no_configuration_is_refused(data: Any) -> None:
         ModelConfig.from_dict(data)
 
 
+@pytest.mark.parametrize("text", [3, None, ["a"], "\ud800", "a" * 70_000])
+@pytest.mark.parametrize("name", ["name", "provenance", "licence"])
+def test_what_people_read_of_a_model_is_text(name: str, text: object) -> None:
+    with pytest.raises(ModelError, match="cannot be read"):
+        ModelConfig.from_dict({**_plain(), name: text})
+
+
+VAST = ModelConfig("a", LiteConfig(), SaladConfig(9, clusters=4096, cluster_dim=4096))
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (ModelConfig("a", ViTConfig(16, 10**6, 2), SceneConfig(16)), "1000000 blocks are more than any model has"),
+        (ModelConfig("a", LiteConfig(), MixVprConfig(9, depth=300)), "300 blocks"),
+        (ModelConfig("a", LiteConfig(), BoqConfig(9, blocks=257)), "257 blocks"),
+        (ModelConfig("a", LiteConfig(), SceneConfig(0)), "a descriptor of 0 numbers"),
+        (ModelConfig("a", LiteConfig(), SaladConfig(9, clusters=-3)), "a descriptor of -128 numbers"),
+        (ModelConfig("a", LiteConfig(), RouteConfig(9, SaladConfig(9), grid=10**6)), "a descriptor of 32"),
+        (VAST, "a descriptor of 16777472 numbers cannot be: 1 to 1,048,576 can"),
+    ],
+)
+def test_a_model_that_no_machine_can_run_is_told_from_its_sizes(config: ModelConfig, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        check_sizes(config)
+
+
+@pytest.mark.parametrize("width", [112, 384, 1536])
+def test_every_model_that_is_compared_is_of_a_size_that_can_be(width: int) -> None:
+    for backbone in (*VITS.values(), LiteConfig(), ResNetConfig(), ConvNextConfig()):
+        for aggregator in compared_aggregators(width).values():
+            check_sizes(ModelConfig("a", backbone, aggregator))
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6) | st.just(10**400),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
+    max_leaves=8,
+)
+PLACES = [(part, name) for part, held in _plain().items() if isinstance(held, dict) for name in held]
+
+
+@settings(deadline=None, max_examples=300)
+@given(where=st.sampled_from([*PLACES, ("calibration", None), ("name", None), ("precision", None)]), value=JSON)
+def test_any_value_in_any_place_is_read_or_a_sentence(where: tuple[str, str | None], value: object) -> None:
+    data = _plain()
+    if where[1] is None:
+        data[where[0]] = value
+    else:
+        data[where[0]][where[1]] = value
+    with suppress(ModelError):
+        ModelConfig.from_dict(data)
+
+
 def test_a_model_nobody_has_calibrated_says_nothing_of_it() -> None:
     assert "calibration" not in _plain()
     assert ModelConfig.from_dict(_plain()).calibration is None
@@ -205,6 +269,9 @@ def test_a_model_nobody_has_calibrated_says_nothing_of_it() -> None:
         ("min_confidence", 1.01, "at most 1"),
         ("centred", 1, "give true or false"),
         ("colour", 1, "nothing else and nothing less"),
+        ("sharpness", 1e7, "none over 1,000,000"),
+        ("bias", -1e300, "none over"),
+        ("top", 10**400, "none over"),
     ],
 )
 def test_a_damaged_calibration_is_named(setting: str, value: object, said: str) -> None:

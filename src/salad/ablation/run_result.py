@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from salad.errors import ModelError
-from salad.files import write_whole
+from salad.files import read_json, write_whole
 from salad.training.recipe import with_defaults
 
 RESULT_FILE = "result.json"
@@ -86,7 +86,7 @@ def read_result(folder: Path) -> RunResult | None:
     if not path.is_file():
         return None
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = read_json(path)
         version = stored.pop("format")
         # Fields are not passed over nor made up: a table of half-known runs would say what nobody measured.
         if version == FORMAT and set(stored) == {field.name for field in fields(RunResult)}:

@@ -29,6 +29,7 @@ from salad.ablation.grids import GridRow
 from salad.ablation.run_result import RUN_IDENTITY, RunResult, first_difference, read_result, run_folder, write_result
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError
+from salad.files import parse_json
 from salad.models.describer import Describer
 from salad.models.model_folder import load, write_folder
 from salad.network.model_size import parameters
@@ -284,5 +285,5 @@ def machine(device: str) -> dict[str, Any]:
 def _logged_seconds(folder: Path, *, otherwise: float) -> float:
     """How long a run took, interruptions left out, as its log says; a model that was only fitted keeps none."""
     with suppress(OSError, ValueError, KeyError, IndexError, TypeError):
-        return float(json.loads((folder / LOG).read_text(encoding="utf-8").splitlines()[-1])["seconds"])
+        return float(parse_json((folder / LOG).read_text(encoding="utf-8").splitlines()[-1])["seconds"])
     return round(otherwise, 1)

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from salad.errors import SaladError
-from salad.files import write_whole
+from salad.files import read_json, write_whole
 from salad.models import hub
 from salad.models.describer import Describer, DescriberLike
 from salad.models.engines import Choice, Engine
@@ -77,7 +77,7 @@ def _key(model: Describer, threads: int) -> str:
 def _remembered(file: Path) -> dict[str, Times]:
     """All measurements there are; none where the file is missing or no such file."""
     try:
-        held = json.loads(file.read_text(encoding="utf-8"))
+        held = read_json(file, most=1 << 24)
         return {str(key): {name: float(times[name]) for name in ("onnx", "openvino")} for key, times in held.items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}

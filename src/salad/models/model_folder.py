@@ -23,18 +23,19 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from salad.errors import MissingExtraError, ModelError, PhotoError, WeightsError
-from salad.files import sha256_of
+from salad.files import read_json, sha256_of
 from salad.models import hub
 from salad.models.describer import Describer, PhotoLike, squeezed
 from salad.models.engines import Engine, EngineName, Weights, choose
 from salad.models.onnx_engine import OnnxEngine
 from salad.models.openvino_engine import OpenVinoEngine
 from salad.models.torch_engine import TorchEngine, check_published, published_network, write_file, write_graph
-from salad.network.config import Calibration, ModelConfig, Preprocessing
+from salad.network.config import MOST_OF_WEIGHTS, Calibration, ModelConfig, Preprocessing, check_sizes
 
 WEIGHTS, CONFIG, GRAPH = "model.safetensors", "config.json", "graph.onnx"
 FORMAT, QUANTIZED = 1, 2  # the second came with models that do not compute in float32, which older versions refuse
 CHECKED_ON = 10  # photos that a graph is compared with torch on
+_MOST_OF_A_GRAPH, _LONGEST_CONFIG = 1 << 27, 1 << 20  # bytes
 
 Checksums = dict[str, str]
 """SHA-256 of a model's graph and of the weights it points into, by the names of their files; empty without a graph."""
@@ -111,6 +112,8 @@ def read_folder(
     config, checksums = _read_config(folder)
     _check_files(folder, checksums)
     choice = choose(engine, graph=GRAPH in checksums, precision=config.precision, device=device)
+    if choice.name != "torch":  # which says so itself, of the network that it builds
+        _check_sizes(folder, config)
     file, read = folder / WEIGHTS, partial(_read_weights, folder / WEIGHTS)
     runs: Engine
     if choice.name == "onnx":
@@ -272,23 +275,32 @@ def _read_config(folder: Path) -> tuple[ModelConfig, Checksums]:
         if not (folder / name).is_file():
             raise WeightsError(f"{folder} is not a model: it holds no {name}")
     try:
-        settings = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
+        settings = read_json(folder / CONFIG, most=_LONGEST_CONFIG)
         # Before anything else is read of it: a newer format may mean something else by the same words.
         version = settings.pop("format")
-        if version not in (FORMAT, QUANTIZED):
+        if type(version) is not int or version not in (FORMAT, QUANTIZED):
             raise WeightsError(
-                f"{folder / CONFIG} has format {version}, this salad reads {FORMAT} and {QUANTIZED}: upgrade salad-vpr"
+                f"{folder / CONFIG} has format {str(version)[:20]}, this salad reads {FORMAT} and {QUANTIZED}: upgrade "
+                "salad-vpr"
             )
         # Left out where there is no graph, for older versions refuse a setting that they do not know.
         checksums = dict(settings.pop("files", {}))
         config = ModelConfig.from_dict(settings)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
-        raise WeightsError(f"{folder / CONFIG} cannot be read: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise WeightsError(f"{folder / CONFIG} cannot be read: {reason}") from error
     if version != _format_of(config):
         raise WeightsError(
             f"{folder / CONFIG} has format {version}, which is not that of a model in {config.precision}"
         )
     return config, checksums
+
+
+def _check_sizes(folder: Path, config: ModelConfig) -> None:
+    try:
+        check_sizes(config)
+    except (ModelError, TypeError) as error:
+        raise WeightsError(f"{folder / CONFIG} does not describe a model that can be run: {error}") from error
 
 
 def _config_text(config: ModelConfig, checksums: Checksums | None = None) -> str:
@@ -301,6 +313,9 @@ def _format_of(config: ModelConfig) -> int:
 
 
 def _check_files(folder: Path, checksums: Checksums) -> None:
+    for name, most in ((WEIGHTS, MOST_OF_WEIGHTS), (GRAPH, _MOST_OF_A_GRAPH)):
+        if (folder / name).is_file() and (folder / name).stat().st_size > most:
+            raise WeightsError(f"{folder / name} is longer than {most:,} bytes, which no model's is: copy it anew")
     for name, due in checksums.items():
         if name not in (GRAPH, WEIGHTS) or not (folder / name).is_file():
             raise WeightsError(f"{folder / CONFIG} tells of a file {name!r}, which is not there: copy the model anew")

@@ -92,6 +92,12 @@ class OnnxEngine:
             raise WeightsError(f"{self.graph} cannot be run: {str(error).splitlines()[0]}") from error
         made_of = session.get_modelmeta().custom_metadata_map.get(SETTINGS, "null")
         check_settings(self.config, made_of, graph=self.graph, command="salad weights graph")
+        gives = {output.name: output.shape for output in session.get_outputs()}
+        takes = [given.name for given in session.get_inputs()]
+        if takes != [PHOTOS] or not gives.keys() >= set(self.outputs):
+            raise WeightsError(f"{self.graph} takes or gives something else than a model does: write it anew")
+        if gives["descriptor"][-1:] != [self.config.aggregator.dim]:
+            raise WeightsError(f"{self.graph} gives descriptors of another length than {self.config.name} has")
         return session
 
     @property
@@ -124,7 +130,10 @@ class OnnxEngine:
         session = self._session_for(len(photos))
 
         def made(some: Photos) -> list[np.ndarray]:
-            found: list[np.ndarray] = session.run(list(outputs), {PHOTOS: some})
+            try:
+                found: list[np.ndarray] = session.run(list(outputs), {PHOTOS: some})
+            except Exception as error:  # the runtime's errors have no common ancestor
+                raise WeightsError(f"{self.graph} cannot be run: {str(error).splitlines()[0]}") from error
             return found
 
         whole = photo_by_photo(made, photos, threads=self.threads, apart=self._device == "cpu")

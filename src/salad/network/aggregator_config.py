@@ -98,8 +98,8 @@ class AggregatorConfig:
         """
         return cls(**settings)
 
-    def check_whole(self, *names: str, least: int = 1) -> None:
-        """Make sure that settings are whole numbers, none below `least`.
+    def check_whole(self, *names: str, least: int = 1, most: int | None = None) -> None:
+        """Make sure that settings are whole numbers, none below `least`, none above `most` where that is given.
 
         Raises:
             ModelError: If one is not; the sentence names it.
@@ -110,6 +110,8 @@ class AggregatorConfig:
                 raise ModelError(
                     f"{name} of the {self.kind} aggregator is {value!r}: give a whole number, at least {least}"
                 )
+            if most is not None and value > most:
+                raise ModelError(f"{name} of the {self.kind} aggregator is {value!r}: give {most} at most")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +152,7 @@ class SaladConfig(AggregatorConfig):
 
     def __post_init__(self) -> None:
         self.check_whole("scene_dim", least=0)
-        self.check_whole("iterations")
+        self.check_whole("iterations", most=1000)
         if not isinstance(self.dustbin, bool):
             raise ModelError(f"dustbin of the salad aggregator is {self.dustbin!r}: give true or false")
         if self.transport not in get_args(Transport):

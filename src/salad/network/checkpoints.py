@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import re
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,9 +22,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from salad.errors import ModelError, WeightsError
+from salad.files import open_file
 from salad.network.aggregator_config import AggregatorConfig, SaladConfig
 from salad.network.baseline_config import SceneConfig
-from salad.network.config import ModelConfig, ViTConfig
+from salad.network.config import MOST_OF_WEIGHTS, ModelConfig, ViTConfig
 from salad.network.network import Network, build, load_weights
 
 HEAD_WIDTH = 64  # numbers a head has in every published DINOv2
@@ -79,6 +82,7 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
     Raises:
         WeightsError: If it cannot be read safely, or holds something else than tensors.
     """
+    length = _checked_file(path)
     # A safetensors file holds numbers and names; everything else is a pickle, of which torch's reader runs no code.
     if path.suffix == ".safetensors":
         try:
@@ -93,7 +97,28 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
     raw = raw.get("state_dict", raw) if isinstance(raw, Mapping) else raw
     if not isinstance(raw, Mapping) or not all(isinstance(value, Tensor) for value in raw.values()):
         raise WeightsError(f"{path} holds something else than named tensors")
+    # A tensor may be one number seen a trillion times, or a view of another's numbers.
+    if sum(value.numel() * value.element_size() for value in raw.values()) > 4 * length:
+        raise WeightsError(f"{path} says it holds more numbers than fit into its {length:,} bytes: fetch it again")
     return {str(key): value for key, value in raw.items()}
+
+
+def _checked_file(path: Path) -> int:
+    """How many bytes a file of weights has; nothing in it is packed, as torch packs nothing.
+
+    Raises:
+        WeightsError: If it is no regular file, longer than any model's, or would unpack to more than it is long.
+    """
+    try:
+        with open_file(path) as file:
+            length = os.fstat(file.fileno()).st_size
+            packed = zipfile.is_zipfile(file) and any(info.compress_type for info in zipfile.ZipFile(file).infolist())
+    except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise WeightsError(f"{path} is no file of weights that can be read safely ({reason})") from error
+    if packed or length > MOST_OF_WEIGHTS:
+        raise WeightsError(f"{path} is no file of weights that can be read safely (packed, or too long for a model)")
+    return length
 
 
 def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Published:
@@ -131,7 +156,7 @@ def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Publish
         aggregator = SceneConfig(width=vit.width) if layout == "hub" else _salad(weights)
     except KeyError as error:
         raise WeightsError(f"the tensor {error} is missing; the file may be cut short") from error
-    except IndexError as error:
+    except (IndexError, ValueError) as error:
         raise WeightsError("a tensor has too few axes for its name; the file may be damaged") from error
     for key, value in weights.items():
         if key.startswith("aggregator.") and value.ndim == 4:
@@ -147,7 +172,7 @@ def _flat(key: str) -> str:
 def _vit(weights: Weights, heads: int | None) -> ViTConfig:
     width = weights["backbone.cls_token"].shape[-1]
     # Counted by the highest number and not by how many there are: a block that is missing is then said by name.
-    numbers = [int(found[1]) for key in weights if (found := re.match(r"backbone\.blocks\.(\d+)\.", key))]
+    numbers = [int(found[1]) for key in weights if (found := re.match(r"backbone\.blocks\.([0-9]{1,9})\.", key))]
     registers = weights.get("backbone.register_tokens")
     return ViTConfig(
         width=width,

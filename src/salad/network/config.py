@@ -128,6 +128,17 @@ IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 Resample = Literal["bilinear", "bicubic"]
 
+# What a model's file may ask for, whoever wrote it: well above every model there is, and far below a machine's memory.
+MOST_PIXELS = 4096
+"""Of a photo's side, as a model takes it."""
+MOST_BLOCKS = 256
+MOST_NUMBERS = 1 << 20
+"""Of a descriptor."""
+MOST_OF_WEIGHTS = 1 << 33
+"""Bytes of a file of weights; DINOv2's giant in float32 has 4.5 billion."""
+_MOST_OF_A_CALIBRATION = 1e6
+_LONGEST_TEXT = 1 << 16
+
 
 @dataclass(frozen=True, slots=True)
 class Preprocessing:
@@ -160,9 +171,11 @@ class Preprocessing:
         # A std of 0 or a NaN would pass silently and make every descriptor one that nothing is near to.
         if len(mean) != 3 or len(std) != 3 or not min(std) > 0 or not all(map(math.isfinite, mean + std)):
             raise ValueError("mean and std need three numbers each, std above 0")
+        if max(map(abs, mean + std)) > 1e6 or min(std) < 1e-6:  # 0 or infinite as a network computes with it
+            raise ValueError("mean and std are those of values in 0..1")
         found = cls(mean=mean, std=std, **plain)
-        if not all(isinstance(side, int) and side > 0 for side in (found.height, found.width)):
-            raise ValueError("height and width are whole pixels, at least 1")
+        if not all(isinstance(side, int) and 0 < side <= MOST_PIXELS for side in (found.height, found.width)):
+            raise ValueError(f"height and width are whole pixels, at least 1 and at most {MOST_PIXELS}")
         if found.resample not in get_args(Resample):
             raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
         return found
@@ -214,9 +227,12 @@ class Calibration:
             if name in ("centred", "provenance"):
                 continue
             # JSON has NaN and infinity in Python's dialect, and true counts as 1: none of them is a weight.
-            real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-            if not real or (value < 0 and name != "bias"):
-                raise ModelError(f"{name} of the calibration is {value!r}: give a finite number, none below 0")
+            real = isinstance(value, int | float) and not isinstance(value, bool)
+            if not real or not abs(value) <= _MOST_OF_A_CALIBRATION or (value < 0 and name != "bias"):
+                raise ModelError(
+                    f"{name} of the calibration is {str(value)[:60]!r}: give a finite number, none below 0 and none "
+                    f"over {_MOST_OF_A_CALIBRATION:,.0f}"
+                )
         if self.radius == 0 or self.min_confidence > 1:
             raise ModelError(
                 f"the calibration's radius {self.radius} must be above 0, its min_confidence "
@@ -323,13 +339,37 @@ class ModelConfig:
             preprocessing = Preprocessing.from_dict(rest.pop("preprocessing"))
             if rest.get("calibration") is not None:
                 rest["calibration"] = Calibration.from_dict(rest["calibration"])
+            for name in ("name", "provenance", "licence"):
+                _check_text(rest.get(name, ""))
             return cls(backbone=backbone, aggregator=aggregator, preprocessing=preprocessing, **rest)
         # A file of any shape may lie there: a list in place of an object, a number in place of a text.
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise ModelError(
                 f"the model's configuration cannot be read ({error}); "
                 "it may be damaged or written by a newer version of salad"
             ) from error
+
+
+def check_sizes(config: ModelConfig) -> None:
+    """Refuse a model that no machine could build or run; its parts are compared with its weights elsewhere.
+
+    Raises:
+        ModelError: If it has more blocks than any model, or a descriptor has none or too many numbers.
+        TypeError: If what should be a number is none.
+    """
+    for part in (config.backbone, config.aggregator):
+        blocks = max(getattr(part, "depth", 1), getattr(part, "blocks", 1))
+        if blocks > MOST_BLOCKS:
+            raise ModelError(f"{blocks} blocks are more than any model has: {MOST_BLOCKS} at most")
+    if not 1 <= config.aggregator.dim <= MOST_NUMBERS:
+        raise ModelError(f"a descriptor of {config.aggregator.dim} numbers cannot be: 1 to {MOST_NUMBERS:,} can")
+
+
+def _check_text(text: Any) -> None:
+    """What people read of a model; an index keeps its name, so its letters must be those that there are."""
+    if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
+        raise TypeError("name, provenance and licence are texts")
+    text.encode()
 
 
 def _backbone(settings: dict[str, Any]) -> BackboneConfig:

@@ -26,6 +26,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from salad.errors import ModelError, needs_extra
+from salad.files import open_file, parse_json
 from salad.network.config import PHOTOS, SETTINGS, Output, Preprocessing
 from salad.network.network import Network, evaluating
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 OPSET = 20  # Gelu came with it; the runtimes of 2024 know it
 COSINE = 0.99999  # of a descriptor by the graph and by the network, at least
 TOLERANCE = 1e-3  # of tokens, as a share of the largest number among them, and of a plan's shares
+_LONGEST_HEADER = 100_000_000  # bytes
 BATCHES = (1, 2, 7)  # ten photos: a graph that holds the batch of its example fails with two of the three
 
 
@@ -267,9 +269,10 @@ def _point_into(weights: Path, graph: ir.Graph) -> None:
     """Let every weight be the bytes that a safetensors file has of it."""
     import onnx_ir as ir
 
-    with weights.open("rb") as file:
-        (length,) = struct.unpack("<Q", file.read(8))  # of the header, which says where each tensor begins
-        stored = json.loads(file.read(length))
+    with open_file(weights) as file:
+        # The header says where each tensor begins; safetensors reads none that is longer.
+        stored = parse_json(file.read(min(_LONGEST_HEADER, *struct.unpack("<Q", file.read(8)))))
+        length = file.tell() - 8
     kinds = {"F32": ir.DataType.FLOAT, "F16": ir.DataType.FLOAT16}
     for name, value in list(graph.initializers.items()):
         key = name.removeprefix("network.")

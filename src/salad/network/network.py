@@ -23,7 +23,7 @@ from torch.nn import functional as F
 from salad.errors import ModelError, WeightsError
 from salad.network.aggregators.base import build_aggregator
 from salad.network.backbones.base import build_backbone
-from salad.network.config import ModelConfig, Output
+from salad.network.config import ModelConfig, Output, check_sizes
 from salad.network.tokens import Tokens
 
 Bytes = UInt8[np.ndarray, "batch height width 3"] | UInt8[Tensor, "batch height width 3"]
@@ -159,6 +159,33 @@ def build(config: ModelConfig, *, seed: int = 0) -> Network:
         return Network(config).eval()
 
 
+def _without_memory(config: ModelConfig) -> Mapping[str, Tensor]:
+    """The shapes that a configuration asks for, whatever it asks for: nothing is allocated for them."""
+    try:
+        with torch.device("meta"), torch.inference_mode(False):
+            return Network(config).state_dict()
+    except NotImplementedError:  # a part of another package looks at its numbers; then it is built to be known
+        return build(config).state_dict()
+
+
+def _check_fit(wanted: Mapping[str, Tensor], weights: Mapping[str, Any], *, source: Path) -> None:
+    """Make sure that weights have the names and shapes of a network's, no more and no less.
+
+    Raises:
+        WeightsError: If not; the message lists them.
+    """
+    wrong = {
+        "missing": wanted.keys() - weights.keys(),
+        "unknown": weights.keys() - wanted.keys(),
+        "of another shape": {
+            key for key in wanted.keys() & weights.keys() if tuple(wanted[key].shape) != weights[key].shape
+        },
+    }
+    if any(wrong.values()):
+        said = "; ".join(f"{what}: {', '.join(sorted(keys))}" for what, keys in wrong.items() if keys)
+        raise WeightsError(f"{source} does not fit the model it describes; {said}")
+
+
 def load_weights(config: ModelConfig, weights: Mapping[str, Any], *, source: Path) -> Network:
     """A network with these weights, whose names and shapes must be those of the configuration, no more and no less.
 
@@ -171,20 +198,13 @@ def load_weights(config: ModelConfig, weights: Mapping[str, Any], *, source: Pat
         WeightsError: If no such model can be built, or a tensor is missing, unknown or of another shape.
     """
     try:
+        check_sizes(config)
+        _check_fit(_without_memory(config), weights, source=source)
         network = build(config)
     except (ModelError, RuntimeError, TypeError, ValueError) as error:  # a damaged file asks for anything
         raise WeightsError(f"{source} does not describe a model that can be built: {error}") from error
     wanted = network.state_dict()
-    wrong = {
-        "missing": wanted.keys() - weights.keys(),
-        "unknown": weights.keys() - wanted.keys(),
-        "of another shape": {
-            key for key in wanted.keys() & weights.keys() if tuple(wanted[key].shape) != weights[key].shape
-        },
-    }
-    if any(wrong.values()):
-        said = "; ".join(f"{what}: {', '.join(sorted(keys))}" for what, keys in wrong.items() if keys)
-        raise WeightsError(f"{source} does not fit the model it describes; {said}")
+    _check_fit(wanted, weights, source=source)
     # Half precision on disk is a matter of size alone: what runs is float32.
     network.load_state_dict({key: torch.as_tensor(weights[key]).to(value.dtype) for key, value in wanted.items()})
     return network

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError, TrainingError
-from salad.files import write_whole
+from salad.files import parse_json, read_json, write_whole
 from salad.network.config import ModelConfig
 from salad.network.network import Network
 from salad.training.devices import versions
@@ -141,7 +141,7 @@ def run_identity(
 def precision_of_run(folder: Path) -> Precision | None:
     """How the run that was begun in a folder holds its numbers; None where there is none."""
     try:
-        held = json.loads((folder / CONFIG).read_text(encoding="utf-8"))["recipe"]["precision"]
+        held = read_json(folder / CONFIG)["recipe"]["precision"]
     except (OSError, ValueError, KeyError, TypeError):  # whatever is wrong with it is said where the run is read
         return None
     return held if held in get_args(Precision) else None
@@ -256,7 +256,7 @@ def trim_log(folder: Path, step: int) -> None:
     kept = []
     for line in log.read_text(encoding="utf-8").splitlines():
         with suppress(ValueError, KeyError, TypeError):  # a line torn by the kill
-            if json.loads(line)["step"] <= step:
+            if parse_json(line)["step"] <= step:
                 kept.append(line + "\n")
     write_whole(log, "".join(kept).encode())
 
