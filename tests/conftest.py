@@ -42,6 +42,14 @@ def pytest_collection_modifyitems(items: Sequence[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason=WHY))
 
 
+@pytest.fixture
+def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Photos are read in this process, as where no other can be started: so what a test patches is what reads them."""
+    from salad.images import workers
+
+    monkeypatch.setattr(workers, "SHARED", workers.Pool("raise SystemExit"))
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder with golden tensors and real photos beside the checkout; skips where there is none."""

@@ -29,12 +29,11 @@ from PIL import Image
 
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint
-from salad.images import workers
 from salad.images.decode import existing
 from salad.images.metadata import Position, at_name, parse_at_name, to_exif
 from salad.images.photo import listed
 from salad.images.photo_table import PhotoTable
-from salad.images.workers import FEW, Workers
+from salad.images.workers import Pool, Workers
 
 THOROUGH = "SALAD_THOROUGH" in os.environ
 HANG = 20.0  # seconds; a slow machine is no hang, and real hangs have no end
@@ -45,7 +44,7 @@ PHOTOS, EXIFS, TEXTS = (6400, 1200, 800) if THOROUGH else (720, 240, 180)  # tex
 # A worker process that reads a photo as indexing does and tells what came of it.
 READER = """
 import pathlib, resource, time
-from salad.images import decode as imagefile, workers as reading
+from salad.images import decode as imagefile, worker_process as reading
 from salad.errors import PhotoError
 from salad.images.decode import open_rgb, squeeze
 from salad.images.photo import Photo, read_photo
@@ -255,12 +254,12 @@ class Reader:
 
 
 @pytest.fixture
-def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
+def reader(tmp_path: Path) -> Iterator[Reader]:
     pytest.importorskip("resource", reason="only Unix measures memory so")
-    monkeypatch.setattr(workers, "_STARTER", READER)
-    made = Reader(Workers(FEW, at_once=1, seconds=HANG), tmp_path)
-    yield made
-    made.crew.close()
+    pool = Pool(READER)
+    with Workers(1, seconds=HANG, pool=pool) as crew:
+        yield Reader(crew, tmp_path)
+    pool.close()
 
 
 def test_mutated_photos_open_or_are_said(reader: Reader, capsys: pytest.CaptureFixture[str]) -> None:

@@ -87,18 +87,18 @@ def read_file(path: str | Path, *, most: int, follow: bool = True) -> bytes:
     """
     with open_file(path, follow=follow) as file:
         length = os.fstat(file.fileno()).st_size
-        content = b"" if length > most else _read(file, most + 1)
+        content = b"" if length > most else _read(file, length, most + 1)
         if length > most or len(content) > most:
             raise _refusal(errno.EFBIG, f"it is longer than {most:,} bytes", path)
         return content
 
 
-def _read(file: BinaryIO, most: int) -> bytes:
-    """What a file holds, as far as `most` bytes: it may be growing."""
-    parts = bytearray()
-    while len(parts) < most and (part := file.read(min(1 << 24, most - len(parts)))):
-        parts += part
-    return bytes(parts)
+def _read(file: BinaryIO, length: int, most: int) -> bytes:
+    """What a file holds that was `length` bytes long when it was opened, as far as `most` bytes: it may be growing."""
+    parts = [file.read(length + 1)]  # at one stroke, so that a gigabyte is held once
+    while parts[-1] and (room := most - sum(map(len, parts))) > 0:
+        parts.append(file.read(min(1 << 24, room)))
+    return b"".join(filter(None, parts))  # of a single part that part itself, without a copy
 
 
 def read_json(path: str | Path, *, most: int = _TEXT_MOST, follow: bool = True) -> Any:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,9 @@ from salad.evaluation import descriptors
 from salad.evaluation.descriptors import DescriptorCache, describe_sides
 from salad.evaluation.evaluate_benchmark import evaluate
 from salad.images.decode import DECODER
-from salad.images.photo import Photo
+from salad.images.photo import Photo, content_hash
 from salad.models.fake import FakeDescriber
+from tests.swapping import WAYS, at_each_step
 
 
 @dataclass(frozen=True)
@@ -182,18 +184,19 @@ def test_a_disk_that_takes_nothing(drive: Benchmark, tmp_path: Path, monkeypatch
         evaluate(drive, FakeDescriber(), cache=tmp_path / "cache")
 
 
+@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize("cached", [False, True])
 def test_a_photo_is_opened_once(
     drive: Benchmark, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cached: bool
 ) -> None:
     opened: list[str] = []
-    honest = Path.open
+    honest = os.open
 
-    def counted(self: Path, *arguments: Any, **settings: Any) -> Any:
-        opened.append(str(self))
-        return honest(self, *arguments, **settings)
+    def counted(path: Any, *arguments: Any, **settings: Any) -> Any:
+        opened.append(os.fspath(path))
+        return honest(path, *arguments, **settings)
 
-    monkeypatch.setattr(Path, "open", counted)
+    monkeypatch.setattr(os, "open", counted)
     for _ in range(2):
         opened.clear()
         describe_sides(drive, FakeDescriber(), cache=tmp_path / "cache" if cached else None)
@@ -210,3 +213,34 @@ def test_what_is_decoded_again_after_a_wrong_guess_is_described_all_the_same(dri
     assert len(again.seen) == 5
     due = FakeDescriber().describe([photo.path for photo in drive.references])
     np.testing.assert_allclose(rows.take(np.arange(7)), due, atol=1e-6)
+
+
+@pytest.mark.usefixtures("read_here")
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("known", [False, True])
+def test_a_photo_saved_anew_meanwhile_is_kept_as_one_version(
+    drive: Benchmark, tmp_path: Path, way: Callable[[Path, bytes], None], known: bool
+) -> None:
+    """At whatever step of ours, and also where the cache guesses that it knows the photo."""
+    path, versions = drive.references[2].path, {}
+    for photo in (drive.references[2], drive.references[6]):
+        versions[content_hash(photo.path)] = photo.path.read_bytes(), FakeDescriber().describe([photo.path])[0]
+    first, second = (content for content, _ in versions.values())
+    half = replace(drive, references=drive.references[:2], queries=drive.queries[:1], positives=drive.positives[:1])
+    short = replace(drive, references=drive.references[:4], queries=drive.queries[:1], positives=drive.positives[:1])
+    for number, swapping in enumerate(at_each_step(path, first, second, way)):
+        cache = tmp_path / f"cache {number}"
+        if known:
+            describe_sides(half, FakeDescriber(), cache=cache)
+        with swapping:
+            described = describe_sides(short, FakeDescriber(), cache=cache, batch_size=1)[0].take(np.array([2]))[0]
+        kept = {
+            key.tobytes().hex(): row
+            for file in (cache.glob("*/*"))
+            for key, row in zip(*(load_file(file)[name] for name in ("contents", "descriptors")), strict=True)
+        }
+        found = versions.keys() & kept.keys()
+        assert len(found) == 1
+        for content in found:
+            np.testing.assert_allclose(kept[content], versions[content][1], atol=1e-6)
+            np.testing.assert_allclose(described, versions[content][1], atol=1e-6)

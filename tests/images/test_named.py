@@ -60,7 +60,7 @@ def test_neither_waits_for_a_pipe_nor_reads_a_device(tmp_path: Path) -> None:
 
 
 def test_a_photo_larger_than_any_photo_is_not_read(photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(named, "MOST", photo.stat().st_size - 1)
+    monkeypatch.setattr(named, "LONGEST", photo.stat().st_size - 1)
     assert "changed or is gone" in refused(HeldPhoto(photo, content_hash(photo)))
     assert "longer than" in refused(PhotoBelow(photo.parent, photo.name))
 

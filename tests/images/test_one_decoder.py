@@ -113,17 +113,18 @@ def test_the_model_for_tests_given_paths(paths: list[Path], seen: list[np.ndarra
     assert np.array_equal(model.describe(paths), model.describe(seen))
 
 
-@pytest.mark.parametrize("few", [1, 1000], ids=["by processes", "by this process"])
+@pytest.mark.parametrize("starter", [workers._STARTER, "no Python"], ids=["by processes", "by this process"])
 def test_the_index_and_its_queries(
-    paths: list[Path], seen: list[np.ndarray], index: Index, watched: Watched, few: int, monkeypatch: Any
+    paths: list[Path], seen: list[np.ndarray], index: Index, watched: Watched, starter: str, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr(workers, "FEW", few)
+    monkeypatch.setattr(workers, "SHARED", workers.Pool(starter))
     due = list(watched.model.describe(seen, batch_size=1))
     index_photos(paths, index, watched, batch_size=1)
     assert np.array_equal(watched.rows, due)
     answers = locate_many(paths, index=index, model=watched, k=1, batch_size=1)
     assert [answer.matches[0].photo.path for answer in answers] == paths
     assert np.array_equal(watched.rows, due + due)
+    workers.SHARED.close()
 
 
 @pytest.mark.parametrize("cached", [False, True])

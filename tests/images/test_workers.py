@@ -6,8 +6,9 @@ import io
 import os
 import pickle
 import signal
+import subprocess
 import sys
-import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
@@ -16,18 +17,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from salad.errors import PhotoError
 from salad.geo import GeoPoint
-from salad.images import workers
+from salad.images import worker_process, workers
+from salad.images.decode import decode, open_rgb
 from salad.images.metadata import save_jpeg
+from salad.images.named import HeldPhoto
 from salad.images.photo import content_hash, read_photo
-from salad.images.workers import PhotoRead, Workers
+from salad.images.worker_process import PhotoRead, read
+from salad.images.workers import Pool, Workers
 
 # A worker process in which some photos do what broken ones do to a decoder.
 TRICKED = """
 import os, signal, sys, time
-from salad.images import workers as reading
+from salad.images import worker_process as reading
 
 honest = reading.TASKS["decode"]
 
@@ -47,7 +52,7 @@ reading.TASKS["decode"] = tricked
 reading.main()
 """
 SHAPE = (24, 32, "bilinear")
-FEW = workers.FEW
+MANY = 64  # photos that are worth several processes
 
 
 def photo(path: Path, seed: int = 0) -> Path:
@@ -57,20 +62,33 @@ def photo(path: Path, seed: int = 0) -> Path:
 
 
 @pytest.fixture
-def crew() -> Iterator[Workers]:
-    with Workers(FEW, at_once=2) as made:
+def pool() -> Iterator[Pool]:
+    made = Pool()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def crew(pool: Pool) -> Iterator[Workers]:
+    with Workers(MANY, at_once=2, pool=pool) as made:
         yield made
 
 
 @pytest.fixture
-def tricked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Workers]:
-    monkeypatch.setattr(workers, "_STARTER", TRICKED)
-    with Workers(FEW, at_once=2, seconds=60) as made:
+def tricky() -> Iterator[Pool]:
+    made = Pool(TRICKED)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def tricked(tricky: Pool) -> Iterator[Workers]:
+    with Workers(MANY, at_once=2, seconds=60, pool=tricky) as made:
         yield made
 
 
-def pids(crew: Workers) -> list[int]:
-    return [one._process.pid for one in crew._processes if one._process is not None]
+def pids(pool: Pool) -> list[int]:
+    return [one._process.pid for one in pool._free if one._process is not None]
 
 
 def is_running(pid: int) -> bool:
@@ -81,24 +99,40 @@ def is_running(pid: int) -> bool:
     return True
 
 
-def test_processes_read_as_this_process_does(crew: Workers, tmp_path: Path) -> None:
+def test_processes_read_as_this_process_does(crew: Workers, pool: Pool, tmp_path: Path) -> None:
     paths = [photo(tmp_path / f"写真 @home {n}.jpg", n) for n in range(6)]
-    with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(crew.read, paths))
-        decoded = list(pool.map(lambda path: crew.decode(path, *SHAPE), paths))
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(crew.read, paths))
+        decoded = list(threads.map(lambda path: crew.decode(path, *SHAPE), paths))
     assert found == [PhotoRead(read_photo(path), content_hash(path)) for path in paths]
     for path, pixels in zip(paths, decoded, strict=True):
-        assert np.array_equal(pixels, workers.decode(path, *SHAPE))
-    assert len(pids(crew)) <= 2
+        assert np.array_equal(pixels, decode(path, *SHAPE))
+    assert 1 <= len(pids(pool)) <= 2
 
 
-def test_their_errors_are_ours(crew: Workers, tmp_path: Path) -> None:
+def test_photos_are_shown_and_looked_at_as_by_this_process(crew: Workers, tmp_path: Path) -> None:
+    path = photo(tmp_path / "a.jpg")
+    shown = open_rgb(path)
+    shown.thumbnail((20, 20), Image.Resampling.LANCZOS)
+    held = HeldPhoto(path, content_hash(path))
+    for source in (path, held):
+        assert np.array_equal(crew.show(source, 20), np.asarray(shown))
+        assert np.array_equal(crew.decode(source, *SHAPE), decode(path, *SHAPE))
+    assert crew.show(path, 1000).shape == (40, 50, 3)
+    assert crew.look(path) == read_photo(path)
+    photo(path, 1)
+    with pytest.raises(PhotoError, match="changed or is gone"):
+        crew.decode(held, *SHAPE)
+
+
+def test_their_errors_are_ours(crew: Workers, pool: Pool, tmp_path: Path) -> None:
     (tmp_path / "empty.jpg").touch()
     with pytest.raises(PhotoError, match=r"empty\.jpg is empty"):
         crew.decode(tmp_path / "empty.jpg", *SHAPE)
-    with pytest.raises(PhotoError, match="no photo at"):
-        crew.read(tmp_path / "gone.jpg")
-    assert len(pids(crew)) <= 2
+    for ask in (crew.read, crew.look):
+        with pytest.raises(PhotoError, match="no photo at"):
+            ask(tmp_path / "gone.jpg")
+    assert len(pids(pool)) == 1  # whoever said so lives
 
 
 def test_a_crash_costs_one_photo(tricked: Workers, tmp_path: Path) -> None:
@@ -116,32 +150,30 @@ def test_a_process_has_its_share_of_memory(tricked: Workers, tmp_path: Path) -> 
         tricked.decode(photo(tmp_path / "swells.jpg"), *SHAPE)
 
 
-def test_a_photo_that_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "_STARTER", TRICKED)
-    crew = Workers(FEW, at_once=1, seconds=1.0)
-    try:
-        with pytest.raises(PhotoError, match=r"hangs\.jpg took over 1 s to read"):
-            crew.decode(photo(tmp_path / "hangs.jpg"), *SHAPE)
-        crew._processes[0]._seconds = 60
+def test_a_photo_that_takes_too_long_is_given_up(tricky: Pool, tmp_path: Path) -> None:
+    hangs = photo(tmp_path / "hangs.jpg")
+    with Workers(MANY, at_once=1, seconds=1.0, pool=tricky) as crew, pytest.raises(PhotoError, match="took over 1 s"):
+        crew.decode(hangs, *SHAPE)
+    with Workers(MANY, at_once=1, pool=tricky) as crew:
         assert crew.decode(photo(tmp_path / "good.jpg"), *SHAPE).shape == (24, 32, 3)
-    finally:
-        crew.close()
 
 
-def test_one_that_died_between_photos_is_replaced(crew: Workers, tmp_path: Path) -> None:
+def test_one_that_died_between_photos_is_replaced(crew: Workers, pool: Pool, tmp_path: Path) -> None:
     path = photo(tmp_path / "a.jpg")
     crew.read(path)
-    for pid in pids(crew):
+    for pid in pids(pool):
         os.kill(pid, signal.SIGKILL)
     assert [crew.read(path).content_hash for _ in range(2)] == [content_hash(path)] * 2
 
 
-def test_closing_ends_what_hangs(tricked: Workers, tmp_path: Path) -> None:
+def test_closing_ends_what_hangs(tricked: Workers, tricky: Pool, tmp_path: Path) -> None:
     hangs = photo(tmp_path / "hangs.jpg")
     with ThreadPoolExecutor(1) as pool:
         tricked.read(hangs)
+        running = pids(tricky)
         waiting = pool.submit(tricked.decode, hangs, *SHAPE)
-        running = pids(tricked)
+        while tricky._free:  # until it is asked
+            time.sleep(0.01)
         tricked.close()
         with pytest.raises(PhotoError, match="was stopped"):
             waiting.result()
@@ -150,33 +182,144 @@ def test_closing_ends_what_hangs(tricked: Workers, tmp_path: Path) -> None:
         tricked.read(hangs)
 
 
+def test_closing_wakes_who_waits_for_a_turn(tricky: Pool, tmp_path: Path) -> None:
+    crew = Workers(MANY, at_once=1, pool=tricky)
+    with ThreadPoolExecutor(3) as threads:
+        waiting = [threads.submit(crew.decode, photo(tmp_path / f"hangs {n}.jpg"), *SHAPE) for n in range(3)]
+        while not tricky._lent:
+            time.sleep(0.01)
+        crew.close()
+        for one in waiting:
+            with pytest.raises(PhotoError, match="was stopped"):
+                one.result()
+
+
 @pytest.mark.parametrize("starter", ["raise SystemExit", "print('no worker')", "import no_such_module"])
-def test_where_none_can_be_started_this_process_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, starter: str
-) -> None:
-    monkeypatch.setattr(workers, "_STARTER", starter)
-    crew = Workers(FEW, at_once=1)
+def test_where_none_can_be_started_this_process_reads(tmp_path: Path, starter: str) -> None:
+    pool = Pool(starter)
+    pool.prepare()
     path = photo(tmp_path / "a.jpg")
-    assert crew.read(path) == workers.read(path)
-    with pytest.raises(PhotoError, match="no photo at"):
-        crew.read(tmp_path / "gone.jpg")
-    crew.close()
+    with Workers(1, pool=pool) as crew:
+        assert crew.read(path) == read(path)
+        with pytest.raises(PhotoError, match="no photo at"):
+            crew.read(tmp_path / "gone.jpg")
 
 
-def test_where_there_is_no_python_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "no-python"))
-    crew = Workers(FEW, at_once=1)
-    assert crew.read(photo(tmp_path / "a.jpg")).content_hash == content_hash(tmp_path / "a.jpg")
-    crew.close()
+@pytest.mark.parametrize("how", ["no python", "within an application"])
+def test_where_there_is_no_python_to_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pool: Pool, how: str
+) -> None:
+    if how == "no python":
+        monkeypatch.setattr(sys, "executable", str(tmp_path / "no-python"))
+    else:
+        monkeypatch.setattr(sys, "frozen", True, raising=False)
+    pool.prepare()
+    with Workers(1, pool=pool) as crew:
+        assert crew.read(photo(tmp_path / "a.jpg")).content_hash == content_hash(tmp_path / "a.jpg")
+    assert pids(pool) == []
 
 
-def test_signals_without_a_name_are_told_by_number(crew: Workers, tmp_path: Path) -> None:
+def test_signals_without_a_name_are_told_by_number(pool: Pool, tmp_path: Path) -> None:
     class Dead:
         stdin = stdout = None
         returncode = -250
         wait = kill = lambda self, *_: None
 
-    assert str(crew._processes[0]._failed(Dead(), tmp_path)) == "signal 250"
+    process = pool.take(1, lambda: False)
+    assert str(process._failed(Dead(), tmp_path, 1.0)) == "signal 250"
+
+
+# --- kept from call to call ----------------------------------------------------------------
+
+
+def test_processes_are_kept_for_the_next_call(pool: Pool, tmp_path: Path) -> None:
+    path, seen = photo(tmp_path / "a.jpg"), set()
+    for _ in range(5):
+        with Workers(1, pool=pool) as crew:
+            crew.read(path)
+        seen.update(pids(pool))
+    assert len(seen) == 1
+    pool.close()
+    assert not any(map(is_running, seen))
+    with Workers(1, pool=pool) as crew:  # a pool that was closed begins anew
+        assert crew.read(path) == read(path)
+
+
+@pytest.mark.parametrize(("photos", "processes"), [(1, 1), (workers.EACH, 1), (3 * workers.EACH, 3)])
+def test_few_photos_start_few(
+    pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos: int, processes: int
+) -> None:
+    monkeypatch.setattr(workers, "photos_at_once", lambda: 4)
+    path = photo(tmp_path / "a.jpg")
+    with Workers(photos, pool=pool) as crew:
+        assert len(list(crew.in_order(crew.read, [path] * photos, ahead=photos))) == photos
+        assert len(pids(pool)) <= processes
+
+
+def test_one_is_started_before_there_is_a_photo(pool: Pool, tmp_path: Path) -> None:
+    pool.prepare()
+    (pid,) = pids(pool)
+    pool.prepare()  # once is enough
+    with Workers(1, pool=pool) as crew:
+        crew.read(photo(tmp_path / "a.jpg"))
+    assert pids(pool) == [pid]
+
+
+def test_paths_are_from_where_the_caller_is_now(crew: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed, name in enumerate(("here", "there")):
+        (tmp_path / name).mkdir()
+        photo(tmp_path / name / "a.jpg", seed)
+        monkeypatch.chdir(tmp_path / name)
+        assert crew.read(Path("a.jpg")) == PhotoRead(read_photo(Path("a.jpg")), content_hash(tmp_path / name / "a.jpg"))
+
+
+def test_several_share_no_more_processes_than_the_machine_bears(
+    pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "photos_at_once", lambda: 2)
+    path = photo(tmp_path / "a.jpg")
+
+    def one(_: int) -> str:
+        with Workers(1, pool=pool) as crew:
+            return crew.read(path).content_hash
+
+    with ThreadPoolExecutor(8) as threads:
+        assert set(threads.map(one, range(40))) == {content_hash(path)}
+    assert 1 <= len(pids(pool)) <= 2
+
+
+FORKING = """
+import os, sys
+from pathlib import Path
+from salad.images import workers
+
+path = Path(sys.argv[1])
+
+def read():
+    with workers.Workers(1) as crew:
+        return crew.read(path).content_hash, crew._pool._free
+
+due, free = read()
+mine = free[0]._process.pid
+child = os.fork()
+if not child:
+    assert workers.SHARED._free == []
+    same, free = read()
+    os._exit(0 if same == due and free[0]._process.pid != mine else 1)
+assert read()[0] == due  # while the child reads too
+assert os.waitpid(child, 0)[1] == 0
+again, free = read()
+assert (again, free[0]._process.pid) == (due, mine)
+print(mine)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="only Unix forks")
+def test_a_fork_has_processes_of_its_own_and_none_is_left_behind(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", "-c", FORKING, photo(tmp_path / "a.jpg")]
+    ran = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert not is_running(int(ran.stdout))
 
 
 # --- the other side ------------------------------------------------------------------------
@@ -184,61 +327,55 @@ def test_signals_without_a_name_are_told_by_number(crew: Workers, tmp_path: Path
 
 def test_main_answers_until_its_pipe_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, limits = photo(tmp_path / "a.jpg"), []
-    requests = pickle.dumps(("read", path)) + pickle.dumps(("decode", tmp_path / "gone.jpg", *SHAPE))
+    due = read(path)
+    requests = pickle.dumps((".", "read", path)) + pickle.dumps(("/", "decode", tmp_path / "gone.jpg", *SHAPE))
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(requests)))
     monkeypatch.setattr("resource.setrlimit", lambda *limit: limits.append(limit))
-    read, write = os.pipe()
-    stdout, interrupt = os.dup(1), signal.getsignal(signal.SIGINT)
-    os.dup2(write, 1)
+    monkeypatch.setattr(worker_process, "LIMITS", worker_process.Limits())
+    read_end, write_end = os.pipe()
+    stdout, handlers = os.dup(1), {which: signal.getsignal(which) for which in (signal.SIGINT, signal.SIGALRM)}
+    os.dup2(write_end, 1)
     try:
-        workers.main()
+        worker_process.main()
     finally:
         os.dup2(stdout, 1)
         os.close(stdout)
-        os.close(write)
-        signal.signal(signal.SIGINT, interrupt)
-    with os.fdopen(read, "rb") as replies:
+        os.close(write_end)
+        for which, handler in handlers.items():
+            signal.signal(which, handler)
+    with os.fdopen(read_end, "rb") as replies:
         answers = [pickle.load(replies) for _ in range(3)]
         assert replies.read() == b""
-    assert answers[:2] == [workers.READY, workers.read(path)]
+    assert answers[:2] == [worker_process.READY, due]
     assert isinstance(answers[2], PhotoError)
-    assert limits[0][1][0] <= workers.MEMORY
+    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
+    held = worker_process._address_space() + worker_process.LARGEST_MEMORY
+    assert all(within <= held for _, (within, _) in limits)
 
 
 def test_without_limits_it_reads_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "resource", None)
-    workers.limit_memory(1)
-
-
-def test_reading_here_needs_no_process(tmp_path: Path) -> None:
-    here, before = Workers(FEW - 1), threading.active_count()
-    path = photo(tmp_path / "a.jpg")
-    assert here.read(path) == workers.read(path)
-    assert np.array_equal(here.decode(path, *SHAPE), workers.decode(path, *SHAPE))
-    here.close()
-    assert threading.active_count() == before
+    worker_process.limit_memory(1)
 
 
 def test_one_trip_brings_all_of_a_photo_from_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, opened = photo(tmp_path / "a.jpg"), []
-    due = PhotoRead(read_photo(path), content_hash(path), workers.decode(path, *SHAPE))
-    honest = Path.open
-    monkeypatch.setattr(Path, "open", lambda self, *how: opened.append(self) or honest(self, *how))
-    for held in (workers._HELD, 0):  # in memory, or gone through twice
-        monkeypatch.setattr(workers, "_HELD", held)
-        found = workers.read(path, SHAPE)
-        assert found[:2] == due[:2]
-        assert np.array_equal(found.pixels, due.pixels)
-        assert opened.pop() == path
-        assert workers.read(path) == (*due[:2], None, "")
-        assert opened.pop() == path
-        assert opened == []
+    due = PhotoRead(read_photo(path), content_hash(path), decode(path, *SHAPE))
+    honest = os.open
+    monkeypatch.setattr(os, "open", lambda path, *how: opened.append(path) or honest(path, *how))
+    found = read(path, SHAPE)
+    assert found[:2] == due[:2]
+    assert np.array_equal(found.pixels, due.pixels)
+    assert opened == [path]
+    assert read(path) == (*due[:2], None, "")
+    assert opened == [path, path]
 
 
 def test_a_photo_that_cannot_be_decoded_is_known_all_the_same(tmp_path: Path) -> None:
     path = photo(tmp_path / "cut.jpg")
     path.write_bytes(path.read_bytes()[:-300])
-    found = workers.read(path, SHAPE)
+    found = read(path, SHAPE)
     assert (found.photo, found.content_hash, found.pixels) == (read_photo(path), content_hash(path), None)
     assert "cut.jpg is damaged" in found.trouble
 

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,11 +20,13 @@ from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo, content_hash
 from salad.images.photo_table import PhotoTable
-from salad.images.workers import PhotoRead, Workers
+from salad.images.worker_process import PhotoRead
+from salad.images.workers import Pool, Workers
 from salad.index import build
 from salad.index.build import index_photos
 from salad.index.index import Index
 from salad.models.fake import FakeDescriber
+from tests.swapping import WAYS, at_each_step
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ def test_an_index_that_cannot_be_written_is_not_tried_twice(
 # What a worker process runs whose decoder breaks down over some photos.
 BROKEN = """
 import os
-from salad.images import workers as reading
+from salad.images import worker_process as reading
 
 honest = reading.TASKS["read"]
 reading.TASKS["read"] = lambda path, *rest: os._exit(9) if path.name in ("03.png", "11.png") else honest(path, *rest)
@@ -216,11 +218,17 @@ reading.main()
 """
 
 
-def test_many_photos_are_read_by_processes_and_a_crash_costs_one(
-    index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.fixture
+def broken() -> Iterator[Pool]:
+    made = Pool(BROKEN)
+    yield made
+    made.close()
+
+
+def test_photos_are_read_by_processes_and_a_crash_costs_one(
+    index: Index, photos: list[Path], broken: Pool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("salad.images.workers.FEW", 10)
-    monkeypatch.setattr("salad.images.workers._STARTER", BROKEN)
+    monkeypatch.setattr("salad.images.workers.SHARED", broken)
     table = tmp_path / "places.csv"
     table.write_text("path,lat,lon\nphotos/05.png,1,2\n")
     done = index_photos(photos, index, FakeDescriber(), table=PhotoTable.read(table), batch_size=4)
@@ -235,7 +243,6 @@ def test_many_photos_are_read_by_processes_and_a_crash_costs_one(
 
 def test_an_interrupt_ends_the_processes(index: Index, photos: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Workers] = []
-    monkeypatch.setattr("salad.images.workers.FEW", 10)
     monkeypatch.setattr("salad.index.build.Workers", lambda photos, **_: made.append(Workers(photos)) or made[0])
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
@@ -250,7 +257,6 @@ def test_an_interrupt_ends_the_processes(index: Index, photos: list[Path], monke
 SLOW = """
 import sys, time
 from pathlib import Path
-from salad.images import workers
 from salad.index.build import index_photos
 from salad.index.index import Index
 from salad.models.fake import FakeDescriber
@@ -260,7 +266,6 @@ class Slow(FakeDescriber):
         time.sleep(0.05)
         return super().describe(photos, batch_size=batch_size)
 
-workers.FEW = 2
 model, folder = Slow(), Path(sys.argv[1])
 index = Index.create(folder / "i", dim=model.dim, fingerprint=model.fingerprint, model=model.name)
 photos = sorted((folder / "photos").iterdir())
@@ -388,6 +393,46 @@ def test_what_somebody_else_removes_meanwhile_is_described_again(index: Index, p
     index.taken = removed_after  # type: ignore[method-assign]  # between the guess and the question
     done = index_photos(photos, index, FakeDescriber(), batch_size=4)
     assert (done.added, done.skipped, len(index)) == (3, 17, 20)
+
+
+@pytest.mark.usefixtures("read_here")
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("held", ["nothing", "the path with other content", "a twin of it"])
+def test_a_photo_saved_anew_meanwhile_is_one_of_its_versions(
+    tmp_path: Path, way: Callable[[Path, bytes], None], held: str
+) -> None:
+    """At whatever step of ours; and when the first version comes back, it is found as what it is."""
+    model = FakeDescriber()
+    path, other = draw(tmp_path / "p" / "a.png", 1), draw(tmp_path / "p" / "b.png", 2)
+    made = {content_hash(photo): (photo.read_bytes(), model.describe([photo])) for photo in (path, other)}
+    first, second = (content for content, _ in made.values())
+    other.unlink()
+    beside = tmp_path / "q" / "a.png"
+    for number, swapping in enumerate(at_each_step(path, first, second, way)):
+        with new_index(tmp_path / str(number)) as index:
+            if held != "nothing":
+                here = path if held == "the path with other content" else beside
+                index_photos([draw(here, 3 if here == path else 2)], index, model)
+                path.write_bytes(first)
+            with swapping:
+                index_photos([path], index, model, batch_size=1)
+            assert holds_what_it_says(index, made)
+            path.write_bytes(first)
+            done = index_photos([path], index, model)
+            assert done.added + done.skipped == 1
+            assert holds_what_it_says(index, made)
+            assert index.find([content_hash(path)])[content_hash(path)].path == path
+            assert index.verify() == []
+
+
+def holds_what_it_says(index: Index, made: dict[str, tuple[bytes, np.ndarray]]) -> bool:
+    """Whether each of these contents that the index holds has the descriptor of that very content."""
+    held = index.find(list(made))
+    found = {content: index.search(row, k=1)[0][0] for content, (_, row) in made.items() if content in held}
+    return bool(found) and all(
+        best.score == pytest.approx(1, abs=2e-3) and best.photo.path == held[content].path
+        for content, best in found.items()
+    )
 
 
 FILES = ["a", "b", "c", "d"]

@@ -69,12 +69,14 @@ class IndexCommand:
 
         if self.from_ is not None:
             return self._take(self.from_)
+        from salad.images.workers import prepare
         from salad.models.model_folder import load
 
         positive(self.batch_size, "--batch-size")
         check_threads(self.threads)
         sources = list(terminal.expand_stdin(self.photos))  # kept: stdin can be read but once
         paths = find_photos(sources)
+        prepare()  # what reads the photos starts while the model loads
         table = read_positions(self.table)
         named = self.model or model_name_for(self.to)
         model = load(named, device=self.device, engine=self.engine, threads=self.threads)

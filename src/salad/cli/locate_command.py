@@ -142,6 +142,7 @@ class LocateCommand:
     def run(self) -> int:
         """Locate the photos."""
         from salad.images.photo import find_photos
+        from salad.images.workers import prepare
 
         # Whatever can be refused is refused now: a drive may take an hour to locate.
         positive(self.k, "-k")
@@ -151,6 +152,7 @@ class LocateCommand:
         if not 0 < self.radius <= 1e6:
             raise SaladError(f"--radius {self.radius} makes no place: give metres, above 0")
         paths = find_photos(self.photos)
+        prepare()  # what reads the photos starts while the model loads
         if self.write_exif:
             check_folder(self.write_exif, paths)
         if self.gpx:
@@ -331,10 +333,11 @@ def write_track(track: Path, answers: Sequence[Answer]) -> None:
         OSError: If it cannot be written.
     """
     from salad.files import write_whole
-    from salad.images.photo import read_photo
+    from salad.images.workers import Workers
     from salad.localize import maps
 
-    times = [read_photo(answer.query).time for answer in answers]
+    with Workers(len(answers)) as workers:
+        times = [workers.look(answer.query).time for answer in answers]
     undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
     if undated:
         terminal.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")

@@ -75,7 +75,7 @@ class PlacesCommand:
     def _read_photos(self) -> list[Photo]:
         """All photos with where, which way and when they were taken."""
         from salad.datasets.readers.gsv_cities import is_gsv_cities
-        from salad.images.photo import find_photos, read_photo
+        from salad.images.photo import find_photos, placed
         from salad.images.workers import Workers
 
         names = list(terminal.expand_stdin(self.photos))
@@ -89,9 +89,8 @@ class PlacesCommand:
         paths = find_photos(names)
         table = read_positions(self.table)
         photos: list[Photo] = []
-        # In this process: no pixel is decoded, so no photo can take the run along.
-        with Workers(0) as workers, terminal.progress("looking") as bar:
-            for photo in workers.in_order(lambda path: read_photo(path, table), paths, ahead=64):
+        with Workers(len(paths)) as workers, terminal.progress("looking") as bar:
+            for photo in workers.in_order(lambda path: placed(workers.look(path), table), paths, ahead=64):
                 photos.append(photo)
                 bar(len(photos), len(paths))
         return photos

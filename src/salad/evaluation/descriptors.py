@@ -31,7 +31,8 @@ from salad.errors import BenchmarkError, ModelError, PhotoError
 from salad.files import write_whole
 from salad.images.decode import DECODER, Pixels
 from salad.images.photo import Photo
-from salad.images.workers import PhotoRead, Workers
+from salad.images.worker_process import PhotoRead
+from salad.images.workers import Workers
 from salad.search.base import ArrayRows, Block, Numbers, Rows
 
 if TYPE_CHECKING:
@@ -178,17 +179,24 @@ class DescriptorCache:
         block = _Block(self, self._model, batch_size)
         with Workers(total, at_once=threads) as workers:
             paths = (photo.path for photo in chain(references, queries))
-            found = workers.in_order(lambda path: self._read(workers, path), paths, ahead=2 * batch_size)
+            found = workers.in_order(
+                lambda path: self._read(workers, path, guess_known=self._guess_known), paths, ahead=2 * batch_size
+            )
             for number in range(total):
                 try:
                     path, read = next(found)
-                    key = bytes.fromhex(read.content_hash)
-                    keys[number] = np.frombuffer(key, dtype=np.uint8)
-                    self._guess_known = key in self._rows
-                    if not self._guess_known and not block.holds(key):
-                        block.add(key, path, self._pixels(workers, path, read))
+                    if not self._is_known(read, block) and read.pixels is None and not read.trouble:
+                        # The guess was wrong. All of it anew: by now it may be another photo.
+                        path, read = self._read(workers, path, guess_known=False)
                 except PhotoError as error:
                     raise unreadable(error) from error
+                key = bytes.fromhex(read.content_hash)
+                keys[number] = np.frombuffer(key, dtype=np.uint8)
+                self._guess_known = key in self._rows
+                if not self._is_known(read, block):
+                    if read.pixels is None:
+                        raise unreadable(PhotoError(read.trouble))
+                    block.add(key, path, read.pixels)
                 if progress is not None:  # photos looked at, described or known: so it runs evenly to its end
                     progress(number + 1, total)
         block.write()
@@ -199,21 +207,14 @@ class DescriptorCache:
             _CachedRows(files, rows[len(references) :], dim),
         )
 
-    def _read(self, workers: Workers, path: Path) -> tuple[Path, PhotoRead]:
+    def _read(self, workers: Workers, path: Path, *, guess_known: bool) -> tuple[Path, PhotoRead]:
         """One trip to a photo; it is decoded where it is guessed to be new, as the one before it was."""
         to = self._model.preprocessing
-        return path, workers.read(path, None if self._guess_known else (to.height, to.width, to.resample))
+        return path, workers.read(path, None if guess_known else (to.height, to.width, to.resample))
 
-    def _pixels(self, workers: Workers, path: Path, read: PhotoRead) -> Pixels:
-        """The pixels of a photo that was read; where the guess was wrong, on a second trip.
-
-        Raises:
-            PhotoError: If they cannot be decoded.
-        """
-        if read.trouble:
-            raise PhotoError(read.trouble)
-        to = self._model.preprocessing
-        return workers.decode(path, to.height, to.width, to.resample) if read.pixels is None else read.pixels
+    def _is_known(self, read: PhotoRead, block: _Block) -> bool:
+        key = bytes.fromhex(read.content_hash)
+        return key in self._rows or block.holds(key)
 
     def keep(self, keys: npt.NDArray[np.uint8], rows: npt.NDArray[np.float32]) -> None:
         """Keep descriptors `[N, dim]` of contents `[N, 16]` in one file.

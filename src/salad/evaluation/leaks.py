@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from salad.errors import BenchmarkError, PhotoError
-from salad.images.decode import decode
 from salad.images.photo import Photo, content_hash
+from salad.images.workers import Workers
 
 SIDE = 32  # the thumbnails' side in pixels
 ALIKE = 3.0  # grey levels that thumbnails of one picture may differ by on average; JPEG at quality 50 makes about 1
@@ -135,6 +135,7 @@ def thumbnail(path: Path) -> Float64[np.ndarray, "side side"]:
     Raises:
         PhotoError: If it cannot be read.
     """
-    small = decode(path, SIDE, SIDE, "box")
+    with Workers(1) as workers:
+        small = workers.decode(path, SIDE, SIDE, "box")
     grey: Float64[np.ndarray, "side side"] = small.astype(np.float64).mean(axis=2)
     return grey

@@ -7,14 +7,18 @@ is a `PhotoError` that names the file.
 
 from __future__ import annotations
 
+import errno
 import importlib
+import io
+import os
 import re
 import stat
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,12 +27,15 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from salad.errors import MissingExtraError, ModelError, PhotoError
+from salad.files import open_file, read_file
 
 DECODER = 2
 """Version of what `decode` makes of a file; part of the name of whatever is kept of it (descriptors, tokens).
 
 1 was every pixel decoded, except for `index` and `locate`; 2 is JPEGs reduced while they are decoded, for all. It is
 no part of a model's fingerprint: indexes were made with 2 from the beginning."""
+LONGEST = 1 << 30
+"""Bytes of the longest file that is read: the largest photos take 800 million without any compression."""
 MAX_PIXELS = 200_000_000
 """Largest photo that is opened; the largest telephone cameras make 199.8 million pixels.
 
@@ -47,7 +54,8 @@ _COSTLY = ("WEBP", "JPEG2000")  # their decoders take 16 to 21 bytes a pixel, so
 _REDUCED = ("JPEG", "MPO")  # formats that can be decoded smaller; HEIC's own small picture is another picture
 _HEIC = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"})
 _AVIF = frozenset({b"avif", b"avis"})
-_SCAN = b"\xff\xda"  # begins a pass; within pixels these two bytes never stand side by side
+_SEGMENT = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")  # the head of a part of a JPEG; never stands within pixels
+_SCAN, _END = b"\xda", b"\xd9"
 _TILE_WIDTH, _TILE_HEIGHT = 322, 323  # tags of a TIFF
 _BAND = 1_000_000  # pixels converted at a time
 _RESAMPLINGS = {
@@ -63,7 +71,15 @@ _PILLOW = threading.Lock()  # guards settings of the whole process that `quiet_p
 # --- from a file to pixels -----------------------------------------------------------------
 
 
-def decode(path: Path, height: int, width: int, resample: str = "bilinear", *, file: IO[bytes] | None = None) -> Pixels:
+def decode(
+    path: Path,
+    height: int,
+    width: int,
+    resample: str = "bilinear",
+    *,
+    file: IO[bytes] | None = None,
+    grant: Callable[[float], None] | None = None,
+) -> Pixels:
     """A photo as every model sees it: upright, RGB, the whole of it squeezed to one size.
 
     Training, evaluation, the index and its queries all come here. A JPEG is decoded at a half, a quarter or an
@@ -76,7 +92,9 @@ def decode(path: Path, height: int, width: int, resample: str = "bilinear", *, f
         height: In pixels, at least 1.
         width: In pixels, at least 1.
         resample: bilinear, bicubic, lanczos, box or nearest.
-        file: The same file where it is open already, or held in memory; read from its beginning.
+        file: The same file where it is held in memory already; read from its beginning.
+        grant: Called before pixels are decoded, with how large the photo is: 0 to 1, the largest that is opened.
+            Whoever holds the decoder to a time and to memory may then allow it as much as that takes.
 
     Returns:
         uint8 `[height, width, 3]`.
@@ -85,37 +103,50 @@ def decode(path: Path, height: int, width: int, resample: str = "bilinear", *, f
         PhotoError: If the file is missing, empty, truncated, not an image or has over `MAX_PIXELS` pixels.
         ModelError: If there is no such size or resampling.
     """
-    return squeeze(_load(path, file, at_least=(height, width)), height, width, resample)
+    return squeeze(_load(path, file, at_least=(height, width), grant=grant), height, width, resample)
 
 
-def open_rgb(path: Path, *, at_least: tuple[int, int] | None = None, file: IO[bytes] | None = None) -> Image.Image:
+def open_rgb(
+    path: Path,
+    *,
+    at_least: tuple[int, int] | None = None,
+    file: IO[bytes] | None = None,
+    grant: Callable[[float], None] | None = None,
+) -> Image.Image:
     """A photo to be shown to people: upright, RGB, eight bits; for a model's eyes there is `decode`.
 
     Args:
         path: The file.
         at_least: Height and width that the caller will squeeze the photo to. A JPEG may then be decoded at a half, a
             quarter or an eighth of its size, never below twice that. Not given: all pixels are decoded.
-        file: The same file where it is open already, or held in memory; read from its beginning.
+        file: The same file where it is held in memory already; read from its beginning.
+        grant: As `decode`.
 
     Raises:
         PhotoError: If the file is missing, empty, truncated, not an image or has over `MAX_PIXELS` pixels.
     """
-    rgb = _load(path, file, at_least=at_least)
+    rgb = _load(path, file, at_least=at_least, grant=grant)
     if isinstance(rgb, ImageFile.ImageFile):
         rgb = rgb.copy()  # a plain image, without the file it came from
     rgb.info = {}  # its EXIF would turn it a second time
     return rgb
 
 
-def _load(path: Path, file: IO[bytes] | None, *, at_least: tuple[int, int] | None) -> Image.Image:
-    path = existing(Path(path))
-    with naming(path), path.open("rb") if file is None else nullcontext(file) as source:
+def _load(
+    path: Path,
+    file: IO[bytes] | None,
+    *,
+    at_least: tuple[int, int] | None,
+    grant: Callable[[float], None] | None = None,
+) -> Image.Image:
+    path = Path(path)
+    source = in_memory(path) if file is None else file
+    with naming(path):
         image = open_image(path, source)
-        if image.info.get("progressive"):
-            source.seek(0)
-            scans = source.read().count(_SCAN)
-            if scans > MAX_SCANS:
-                raise PhotoError(f"{path} has {scans} passes over its pixels, over {MAX_SCANS}: save it anew")
+        if grant is not None:
+            grant(image.width * image.height / _most_pixels(image))
+        if image.info.get("progressive") and _has_too_many_scans(source):
+            raise PhotoError(f"{path} has over {MAX_SCANS} passes over its pixels: save it anew")
         if at_least is not None and image.format in _REDUCED:
             side = max(at_least) * 2  # both ways, since the photo may yet be turned
             image.draft("RGB", (side, side))
@@ -162,6 +193,32 @@ def squeeze(image: Image.Image, height: int, width: int, resample: str = "biline
 # --- opening: which formats, how large, and a sentence for whatever goes wrong -------------
 
 
+def in_memory(path: Path) -> io.BytesIO:
+    """All of a photo's file, so that whatever is made of it is of the same bytes, whoever writes to it meanwhile.
+
+    Raises:
+        PhotoError: If there is no such file, it cannot be read, or is longer than `LONGEST`.
+    """
+    existing(path)
+    with naming(path):
+        return io.BytesIO(read_file(path, most=LONGEST))
+
+
+def on_disk(path: Path) -> BufferedReader:
+    """A photo's file, for whoever wants to know what its head says and nothing more.
+
+    Raises:
+        PhotoError: As `in_memory`.
+    """
+    existing(path)
+    with naming(path):
+        file = open_file(path)
+        if os.fstat(file.fileno()).st_size > LONGEST:  # a head may say that it reaches to the end
+            file.close()
+            raise OSError(errno.EFBIG, f"it is longer than {LONGEST:,} bytes")
+        return file
+
+
 def existing(path: Path) -> Path:
     """The path itself, where a file is there.
 
@@ -191,9 +248,18 @@ def naming(path: Path) -> Iterator[None]:
         raise PhotoError(f"{path} is not an image that can be read: save it as JPEG or PNG, or leave it out") from error
     except MemoryError as error:
         raise PhotoError(f"{path} needs more memory than there is: save it smaller or leave it out") from error
+    except OSError as error:
+        if error.errno is None or error.strerror is None:  # a decoder's word for bytes that make no sense
+            raise _damaged(path, error) from error
+        advice = "save it smaller" if error.errno == errno.EFBIG else "check the file"
+        raise PhotoError(f"{path} cannot be read ({error.strerror}): {advice} or leave it out") from error
     except Exception as error:  # decoders raise anything at all on broken bytes
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise PhotoError(f"{path} is damaged or cut short ({reason}): fetch it again or leave it out") from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> PhotoError:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return PhotoError(f"{path} is damaged or cut short ({reason}): fetch it again or leave it out")
 
 
 def open_image(path: Path, file: IO[bytes]) -> Image.Image:
@@ -262,7 +328,7 @@ def _check_size(path: Path, image: Image.Image) -> None:
     width, height = image.size
     if not width or not height:
         raise PhotoError(f"{path} has no pixels ({width} x {height}): fetch it again or leave it out")
-    limit = MAX_PIXELS // 2 if image.format in _COSTLY else MAX_PIXELS
+    limit = _most_pixels(image)
     if width * height > limit:
         raise PhotoError(f"{path} has {width} x {height} pixels, {_over(limit)}")
     if max(width, height) > MAX_SIDE:
@@ -271,6 +337,21 @@ def _check_size(path: Path, image: Image.Image) -> None:
     wide, high = tags.get(_TILE_WIDTH), tags.get(_TILE_HEIGHT)
     if isinstance(wide, int) and isinstance(high, int) and wide * high > MAX_PIXELS:
         raise PhotoError(f"{path} has tiles of over {MAX_PIXELS} pixels: save it anew")
+
+
+def _most_pixels(image: Image.Image) -> int:
+    return MAX_PIXELS // 2 if image.format in _COSTLY else MAX_PIXELS
+
+
+def _has_too_many_scans(file: IO[bytes]) -> bool:
+    """Whether a JPEG has over `MAX_SCANS` passes over its pixels; of the file no more is looked at than tells."""
+    file.seek(0)
+    data = file.read()  # held in memory already: no copy
+    scans, at = 0, 2
+    while scans <= MAX_SCANS and (head := _SEGMENT.search(data, at)) and head[1] != _END:
+        scans += head[1] == _SCAN
+        at = head.end() + int.from_bytes(data[head.end() : head.end() + 2], "big")  # a preview's passes are not its own
+    return scans > MAX_SCANS
 
 
 def _over(limit: int) -> str:

@@ -26,7 +26,7 @@ from PIL.TiffImagePlugin import IFDRational
 from salad.errors import PhotoError, PositionError
 from salad.files import write_whole
 from salad.geo import GeoPoint, Utm, from_utm, to_utm
-from salad.images.decode import open_image, quiet_pillow, to_rgb
+from salad.images.decode import in_memory, on_disk, open_image, quiet_pillow, to_rgb
 
 _NUMBER = re.compile(r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?")
 _SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
@@ -189,9 +189,9 @@ def read_exif(path: Path, *, file: IO[bytes] | None = None) -> Position:
 
     Args:
         path: The file.
-        file: The same file where it is open already, or held in memory; read from its beginning.
+        file: The same file where it is held in memory already; read from its beginning.
     """
-    with suppress(Exception), path.open("rb") if file is None else nullcontext(file) as source:
+    with suppress(Exception), on_disk(path) if file is None else nullcontext(file) as source:
         image = open_image(path, source)
         with quiet_pillow():
             # Image's own getexif, because PNG's would decode the pixels in search of more
@@ -343,10 +343,9 @@ def copy_with_position(photo: Path, copy: Path, where: GeoPoint, *, within_m: fl
         PhotoError: If the photo is no JPEG, its EXIF is damaged or too long, or the copy exists or cannot be
             written.
     """
+    held = in_memory(photo).getvalue()
     try:
-        data = with_position(photo.read_bytes(), where, within_m=within_m)
-    except OSError as error:
-        raise PhotoError(f"{photo} cannot be read ({error}): check the name") from error
+        data = with_position(held, where, within_m=within_m)
     except PhotoError as error:
         raise PhotoError(f"{photo} gets no copy with a position: {error}") from error
     if os.path.lexists(copy):

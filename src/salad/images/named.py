@@ -17,9 +17,7 @@ from pathlib import Path
 
 from salad.errors import PhotoError
 from salad.files import read_file
-
-MOST = 1 << 30
-"""Bytes of a photo that are read: what is checked and what is decoded are the same bytes, all in memory."""
+from salad.images.decode import LONGEST
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class HeldPhoto:
             f"{self.path} was changed or is gone since it was indexed: put it back, or index its folder again"
         )
         try:
-            content = read_file(self.path, most=MOST)
+            content = read_file(self.path, most=LONGEST)
         except (OSError, ValueError) as error:  # the last: no file's name, as one with a NUL
             raise refused from error
         if hashlib.blake2b(content, digest_size=16).hexdigest() != self.identity:
@@ -83,7 +81,7 @@ class PhotoBelow:
             folder, full = Path(whole(self.folder)), Path(whole(self.path))
             if not full.is_relative_to(folder):
                 raise PhotoError(f"{self.name} does not lie below {self.folder}, and is not opened")
-            return read_file(full, most=MOST, follow=self.links)
+            return read_file(full, most=LONGEST, follow=self.links)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise PhotoError(f"{self.path} cannot be read ({reason}): check the folder that was given") from error

@@ -6,7 +6,6 @@ import hashlib
 import os
 import sys
 from collections.abc import Iterable
-from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any, TextIO
 
 from salad.errors import PhotoError
 from salad.geo import GeoPoint
-from salad.images.decode import existing, naming
+from salad.images.decode import existing, in_memory, naming
 from salad.images.metadata import Position, parse_at_name, read_exif
 
 if TYPE_CHECKING:
@@ -130,12 +129,12 @@ def read_photo(path: Path, table: PhotoTable | None = None, *, file: IO[bytes] |
     Args:
         path: The file.
         table: What is known from elsewhere.
-        file: The same file where it is open already, or held in memory.
+        file: The same file where it is held in memory already.
 
     Raises:
         PhotoError: If there is no such file.
     """
-    path = existing(Path(path))
+    path = Path(path) if file is not None else existing(Path(path))
     own = (parse_at_name(path.name) or Position()).completed(read_exif(path, file=file))
     return placed(Photo(path, own.where, own.heading, own.time), table)
 
@@ -154,12 +153,13 @@ def content_hash(path: Path, *, file: IO[bytes] | None = None) -> str:
 
     Args:
         path: The file.
-        file: The same file where it is open already, or held in memory.
+        file: The same file where it is held in memory already.
 
     Raises:
         PhotoError: If the file cannot be read.
     """
-    path = existing(Path(path))
-    with naming(path), path.open("rb") if file is None else nullcontext(file) as source:
+    path = Path(path)
+    source = in_memory(path) if file is None else file
+    with naming(path):
         source.seek(0)
         return hashlib.file_digest(source, lambda: hashlib.blake2b(digest_size=16)).hexdigest()  # type: ignore[arg-type]  # typeshed asks for more than it uses

@@ -1,126 +1,90 @@
-"""Photos read while the model works: in threads, and many of them in processes of their own.
+"""Photos read while the model works, by processes of their own, whether it is one photo or a million.
 
 Decoders are C code that reads strangers' bytes: it may crash, hang or take all memory. In a worker process it does
 so to that process, which costs the one photo; the process is replaced and the rest goes on. It is a plain Python
-started afresh (no fork of a process that runs threads, no second run of the caller's script), it loads what is
-imported here and no torch, and it ends when its pipe does, however its parent ended.
+started afresh (no fork of a process that runs threads, no second run of the caller's script), it loads what
+`worker_process.py` imports and no torch, and it ends when its pipe does, however its parent ended.
+
+To start one takes as long as to decode several photos. So there are no more than the photos are worth, `prepare`
+starts the first while a model loads, and all are kept for the next call.
 """
 
 from __future__ import annotations
 
-import io
+import atexit
 import os
 import pickle
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from queue import SimpleQueue
 from types import TracebackType
-from typing import IO, Any, NamedTuple, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from salad.errors import PhotoError, SaladError
-from salad.images.decode import Pixels, decode, existing, naming
-from salad.images.photo import Photo, content_hash, read_photo
+from salad.images.decode import Pixels
+from salad.images.photo import Photo
+from salad.images.worker_process import READY, PhotoRead, Size, Source, answer, send
 from salad.processors import processors
 
-FEW = 32
-"""Fewer photos are read in this process: others would take longer to start."""
-SECONDS = 60.0
-"""How long a photo may take; the largest ones take about 20."""
-MEMORY = 6 << 30
-"""Bytes of address space a worker process may have: twice what the largest photos need with their decoders' threads."""
-READY = "ready"
-"""What a worker process says first."""
+SECONDS = 70.0
+"""How long a photo may take in all; a process gives it less (`worker_process.SECONDS`), and this stands behind that."""
+EACH = 16
+"""Photos for which one process more is worth its start."""
 
 _LARGEST = 2 << 30  # bytes that the largest photo takes while it is decoded
-_HELD = 256 << 20  # bytes of a file that are held in memory, to be gone through several times
-_KEPT = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(128 << 20)}
-"""What makes Linux's allocator keep the memory of a photo for the next: to hand it back each time costs a fifth."""
-_STARTER = "from salad.images.workers import main; main()"
+_AGAIN = 60.0  # seconds after which it is tried again whether a process can be started
+_STARTER = "from salad.images.worker_process import main; main()"
+_SETTINGS = {
+    # One thread for numpy, which has little to do.
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    # Linux's allocator keeps the memory of a photo for the next: to hand it back each time costs a fifth.
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(128 << 20),
+    # And has one arena, since each takes 64 MB of the address space that a photo's decoder is held to.
+    "MALLOC_ARENA_MAX": "1",
+}
 
-Size = tuple[int, int, str]
-"""Height and width in pixels, and the resampling, as `decode` takes them."""
 Popen = subprocess.Popen[bytes]
 T = TypeVar("T")
 R = TypeVar("R")
 
 
-# --- what is done with a photo -------------------------------------------------------------
-
-
-class PhotoRead(NamedTuple):
-    """What one trip to a photo brings home, all of it from the same bytes.
-
-    Attributes:
-        photo: The photo as its name and EXIF tell it.
-        content_hash: Which photo it is.
-        pixels: uint8 `[height, width, 3]`; None where no size was asked for, and where they cannot be decoded.
-        trouble: Why they cannot be decoded: a sentence, empty where they can.
-    """
-
-    photo: Photo
-    content_hash: str
-    pixels: Pixels | None = None
-    trouble: str = ""
-
-
-def read(path: Path, size: Size | None = None) -> PhotoRead:
-    """Everything about a photo; its file is opened and read once.
-
-    Args:
-        path: The file.
-        size: To what its pixels are squeezed; where not given, they are not decoded.
-
-    Raises:
-        PhotoError: If the file cannot be read.
-    """
-    path = existing(path)
-    with naming(path), path.open("rb") as opened:
-        # In memory, so that what is hashed is what is decoded, whoever may be writing the file meanwhile. Scans of
-        # gigabytes are read twice instead, and so is the head of a photo whose pixels nobody wants.
-        small = size is not None and os.fstat(opened.fileno()).st_size <= _HELD
-        file: IO[bytes] = io.BytesIO(opened.read()) if small else opened
-        known = PhotoRead(read_photo(path, file=file), content_hash(path, file=file))
-        if size is None:
-            return known
-        try:
-            return known._replace(pixels=decode(path, *size, file=file))
-        except PhotoError as error:  # an index may hold it all the same, described where it could be decoded
-            return known._replace(trouble=str(error))
-
-
-TASKS: dict[str, Callable[..., Any]] = {"read": read, "decode": decode}
-"""What a worker can be asked for by name; the first argument is the photo's path."""
-
-
 class Workers:
-    """Reads photos for the model: in as many threads as the machine can bear, each with a process of its own.
+    """Reads photos for the model: in as many threads as they are worth, each of which asks a process.
 
     Use it as a context manager; on an error or an interrupt what has not begun is dropped, and what has is ended.
 
     Args:
-        photos: How many are to be read; fewer than `FEW` are read in this process, trusting the decoders.
-        at_once: How many are read at a time; as many as there are processors and memory for where not given.
-        seconds: How long a photo may take in a process before it is given up.
+        photos: How many are to be read.
+        at_once: How many are read at a time at most; as many as there are processors and memory for where not given.
+        seconds: How long a photo may take before it is given up.
+        pool: Where the processes come from; the one that all share where not given.
     """
 
-    def __init__(self, photos: int, *, at_once: int | None = None, seconds: float = SECONDS) -> None:
-        at_once = at_once or photos_at_once()
-        self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="salad-photos")
-        self._processes = [] if photos < FEW else [_Process(seconds) for _ in range(at_once)]
-        self._free: SimpleQueue[_Process] = SimpleQueue()
-        for process in self._processes:
-            self._free.put(process)
+    def __init__(
+        self, photos: int, *, at_once: int | None = None, seconds: float = SECONDS, pool: Pool | None = None
+    ) -> None:
+        worth = photos if at_once else -(-photos // EACH)
+        self._most = max(1, min(worth, at_once or photos_at_once()))
+        self._seconds = seconds
+        self._pool = pool or SHARED
+        self._threads = ThreadPoolExecutor(self._most, thread_name_prefix="salad-photos")
+        self._turns = threading.BoundedSemaphore(self._most)  # others than our threads may ask
+        self._lock = threading.Lock()  # of the two below: `close` may come from another thread
+        self._closed = False
+        self._busy: set[_Process] = set()
 
     def read(self, path: Path, size: Size | None = None) -> PhotoRead:
-        """As the function `read`, in a process where there are any; whoever finds none free waits.
+        """Everything about a photo, from one reading of its file; its pixels where a size is given.
 
         Raises:
             PhotoError: If the file cannot be read, crashed two processes or took too long.
@@ -128,28 +92,49 @@ class Workers:
         found: PhotoRead = self.ask("read", path, size)
         return found
 
-    def decode(self, path: Path, height: int, width: int, resample: str) -> Pixels:
-        """As `salad.images.decode.decode`, in a process where there are any.
-
-        Raises:
-            PhotoError: If the file cannot be read, crashed two processes or took too long.
-        """
-        pixels: Pixels = self.ask("decode", path, height, width, resample)
-        return pixels
-
-    def ask(self, task: str, path: Path, *rest: Any) -> Any:
-        """What a task of `TASKS` gives for a photo.
+    def decode(self, photo: Source, height: int, width: int, resample: str) -> Pixels:
+        """As `salad.images.decode.decode`.
 
         Raises:
             PhotoError: If the photo cannot be read, crashed two processes or took too long.
         """
-        if not self._processes:
-            return TASKS[task](path, *rest)
-        process = self._free.get()
-        try:
-            return process.ask(task, path, *rest)
-        finally:
-            self._free.put(process)
+        pixels: Pixels = self.ask("decode", photo, height, width, resample)
+        return pixels
+
+    def show(self, photo: Source, side: int) -> Pixels:
+        """A photo for people, `[height, width, 3]`, whose longer side has `side` pixels at most.
+
+        Raises:
+            PhotoError: If the photo cannot be read, crashed two processes or took too long.
+        """
+        pixels: Pixels = self.ask("show", photo, side)
+        return pixels
+
+    def look(self, path: Path) -> Photo:
+        """What a photo's name and EXIF say; only the head of its file is read.
+
+        Raises:
+            PhotoError: If there is no such file, or it crashed two processes or took too long.
+        """
+        photo: Photo = self.ask("look", path)
+        return photo
+
+    def ask(self, task: str, photo: Source, *rest: Any) -> Any:
+        """What a task of `worker_process.TASKS` gives for a photo; where no process is free, it waits for one.
+
+        Raises:
+            PhotoError: If the photo cannot be read, crashed two processes or took too long.
+        """
+        with self._turns:
+            process = self._pool.take(self._most, lambda: self._closed)
+            try:
+                with self._lock:
+                    self._busy.add(process)
+                return process.ask(task, photo, *rest, seconds=self._seconds, stopped=lambda: self._closed)
+            finally:
+                with self._lock:
+                    self._busy.discard(process)
+                self._pool.give(process)
 
     def submit(self, work: Callable[..., R], *arguments: Any) -> Future[R]:
         """Have a thread do this work."""
@@ -166,9 +151,13 @@ class Workers:
             yield waiting.popleft().result()
 
     def close(self) -> None:
-        """End the processes at once, whatever they are doing, and the threads after them."""
-        for process in self._processes:
-            process.close()
+        """End at once what still reads for these workers, and their threads after it; other processes are kept."""
+        with self._lock:
+            self._closed = True
+            busy = list(self._busy)
+        for process in busy:
+            process.end()
+        self._pool.wake()
         self._threads.shutdown(cancel_futures=True)
 
     def __enter__(self) -> Self:
@@ -188,6 +177,86 @@ def photos_at_once() -> int:
     return max(1, count)
 
 
+def prepare() -> None:
+    """Start a process for the photos to come, without waiting for it: a model may be loaded meanwhile."""
+    SHARED.prepare()
+
+
+# --- the processes that wait for photos ----------------------------------------------------
+
+
+class Pool:
+    """Worker processes, kept from one call to the next; whoever is in need of one takes it, and gives it back.
+
+    Args:
+        starter: What a process runs.
+    """
+
+    def __init__(self, starter: str = _STARTER) -> None:
+        self._starter = starter
+        self._changed = threading.Condition()
+        self._free: list[_Process] = []
+        self._lent = 0
+
+    def take(self, most: int, given_up: Callable[[], bool]) -> _Process:
+        """A process; waits while `most` are lent, to whomever, or until it is given up.
+
+        Raises:
+            PhotoError: If it was given up.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: given_up() or self._lent < max(most, photos_at_once()))
+            if given_up():
+                raise PhotoError("the reading of photos was stopped: run it again")
+            self._lent += 1
+            # The one that came back last: so that few photos start few.
+            return self._free.pop() if self._free else _Process(self._starter)
+
+    def give(self, process: _Process) -> None:
+        """Take back a process."""
+        with self._changed:
+            self._lent -= 1
+            kept = len(self._free) < photos_at_once()
+            if kept:
+                self._free.append(process)
+            self._changed.notify()
+        if not kept:
+            process.end()
+
+    def wake(self) -> None:
+        """Have those who wait look whether they still want to."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def prepare(self) -> None:
+        """Start a process where none waits."""
+        with self._changed:
+            if not self._free:
+                self._free.append(_Process(self._starter))
+            self._free[-1].begin()
+
+    def close(self) -> None:
+        """End the processes that wait; who asks again gets new ones."""
+        with self._changed:
+            free, self._free = self._free, []
+        for process in free:
+            process.end()
+
+    def forget(self) -> None:
+        """After a fork, in the child: the processes are the parent's, and so is what comes out of their pipes."""
+        free, self._free, self._lent = self._free, [], 0
+        self._changed = threading.Condition()  # the old one may be held by a thread that is not here
+        for process in free:
+            process.forget()
+
+
+SHARED = Pool()
+"""The processes of this process: the one thing here that outlives a call, so that calls need not wait for a start."""
+atexit.register(SHARED.close)
+if hasattr(os, "register_at_fork"):  # not on Windows, where nothing forks
+    os.register_at_fork(after_in_child=SHARED.forget)
+
+
 # --- a worker process, as its parent sees it -----------------------------------------------
 
 
@@ -198,157 +267,167 @@ class _DiedError(Exception):
 class _Process:
     """One process, asked by one thread at a time; started when needed, and again after it died."""
 
-    def __init__(self, seconds: float) -> None:
-        self._seconds = seconds
+    def __init__(self, starter: str) -> None:
+        self._starter = starter
         self._process: Popen | None = None
-        self._starting = threading.Lock()  # `close` may come from another thread
-        self._closed = self._alone = False
+        self._is_ready = False
+        self._alone_until = 0.0  # where none can be started: when to try again
+        self._starting = threading.Lock()  # `end` may come from another thread
         self._late = threading.Event()
 
-    def ask(self, task: str, path: Path, *rest: Any) -> Any:
-        """What the task gives, or the SaladError it raises."""
+    def ask(self, task: str, photo: Source, *rest: Any, seconds: float, stopped: Callable[[], bool]) -> Any:
+        """What the task gives, or the SaladError it raises.
+
+        Args:
+            task: By its name.
+            photo: Which photo.
+            rest: The task's other arguments.
+            seconds: How long it may take.
+            stopped: Whether nobody waits for it any more, as somebody says who then calls `end`.
+        """
+        asked = (task, photo, *rest)
+        path = photo if isinstance(photo, Path) else photo.path
         try:
-            value = self._answer(task, path, *rest)
+            value = self._answer(asked, path, seconds, stopped)
         except _DiedError:  # perhaps not of this photo: whoever is short of memory ends any process
             try:
-                value = self._answer(task, path, *rest)
+                value = self._answer(asked, path, seconds, stopped)
             except _DiedError as error:
                 raise PhotoError(f"{path} crashes its decoder ({error}): fetch it again or leave it out") from error
         if isinstance(value, SaladError):
             raise value
         return value
 
-    def close(self) -> None:
-        """End the process; it is not started again."""
-        self._closed = True
+    def begin(self) -> None:
+        """Start the process without waiting for it."""
+        with self._starting:
+            if self._process is None:
+                self._process = self._start()
+
+    def end(self) -> None:
+        """End the process, whatever it is doing; it is started again where it is asked again."""
         with self._starting:
             if self._process is not None:
                 _end(self._process)
+                self._process = None
 
-    def _answer(self, task: str, path: Path, *rest: Any) -> Any:
-        process = self._running()
+    def forget(self) -> None:
+        """Let go of a process of somebody else's, which goes on."""
+        if self._process is not None:
+            self._process.returncode = 0  # or Python would complain that it was not waited for
+            _close(self._process)
+            self._process = None
+
+    def _answer(self, asked: tuple[Any, ...], path: Path, seconds: float, stopped: Callable[[], bool]) -> Any:
+        process = self._running(stopped)
         if process is None:
-            return answer((task, path, *rest))
+            return answer(*asked)
         assert process.stdin is not None
         assert process.stdout is not None
         self._late.clear()
-        timer = threading.Timer(self._seconds, self._give_up, [process])
+        timer = threading.Timer(seconds, self._give_up, [process])
         timer.daemon = True
         timer.start()
+        begun = time.monotonic()
         try:
-            send((task, path, *rest), process.stdin)
+            send((os.curdir if path.is_absolute() else _here(), *asked), process.stdin)
             return pickle.load(process.stdout)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
-            raise self._failed(process, path) from error
+            failed = self._failed(process, path, time.monotonic() - begun)
+            if stopped():
+                failed = PhotoError(f"{path} was not read, since the reading of photos was stopped: run it again")
+            raise failed from error
         finally:
             timer.cancel()
             timer.join()
 
-    def _running(self) -> Popen | None:
+    def _running(self, stopped: Callable[[], bool]) -> Popen | None:
         """The process, started where it does not run; None where none can be started on this system."""
         with self._starting:
-            if self._closed:
+            if stopped():
                 raise PhotoError("the reading of photos was stopped: run it again")
             if self._process is not None and self._process.poll() is not None:
                 _end(self._process)
                 self._process = None
-            if self._process is None and not self._alone:
+            if self._process is None and time.monotonic() >= self._alone_until:
                 self._process = self._start()
-                self._alone = self._process is None
+            if self._process is not None and not self._is_ready:
+                self._is_ready = _says_ready(self._process)
+                if not self._is_ready:
+                    _end(self._process)
+                    self._process = None
+            if self._process is None and time.monotonic() >= self._alone_until:
+                self._alone_until = time.monotonic() + _AGAIN
             return self._process
 
-    @staticmethod
-    def _start() -> Popen | None:
-        """A process that said it is ready, or None."""
-        process: Popen | None = None
-        # The folders we import from, which a script may have added to; one thread for numpy, which has little to do.
-        folders = os.pathsep.join(folder for folder in sys.path if folder)
-        settings = {"PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"} | _KEPT
+    def _start(self) -> Popen | None:
+        """A process that will say that it is ready; None where none can be started."""
+        self._is_ready = False
+        if getattr(sys, "frozen", False):  # an application that has Python within it, which would start itself
+            return None
+        # The folders we import from, which a script may have added to.
+        folders = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)  # noqa: PTH100  # texts
         try:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _STARTER],
+            return subprocess.Popen(
+                [sys.executable, "-P", "-c", self._starter],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, **settings},
+                env={**os.environ, "PYTHONPATH": folders, **_SETTINGS},
                 start_new_session=True,  # Ctrl-C goes to every process of a session
             )
-            if process.stdout is not None and pickle.load(process.stdout) == READY:
-                return process
-        except (OSError, ValueError, EOFError, pickle.UnpicklingError):
-            pass
-        if process is not None:
-            _end(process)
-        return None
+        except (OSError, ValueError):
+            return None
 
-    def _failed(self, process: Popen, path: Path) -> Exception:
-        """What to say of a process whose answer did not come."""
+    def _failed(self, process: Popen, path: Path, seconds: float) -> Exception:
+        """What to say of a process whose answer did not come in so many seconds."""
         with suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
         code = process.returncode
-        _end(process)
-        if self._closed:
-            return PhotoError(f"{path} was not read, since the reading of photos was stopped: run it again")
-        if self._late.is_set():
-            return PhotoError(f"{path} took over {self._seconds:g} s to read: save it anew or leave it out")
+        self._bury(process)
+        if self._late.is_set() or (hasattr(signal, "SIGALRM") and code == -signal.SIGALRM):
+            return PhotoError(f"{path} took over {int(seconds)} s to read: save it anew or leave it out")
         if code is None or code >= 0:
             return _DiedError(f"exit code {code}")
         with suppress(ValueError):
             return _DiedError(signal.Signals(-code).name)
         return _DiedError(f"signal {-code}")
 
+    def _bury(self, process: Popen) -> None:
+        with self._starting:
+            _end(process)
+            if self._process is process:
+                self._process = None
+
     def _give_up(self, process: Popen) -> None:
         self._late.set()
         process.kill()
+
+
+def _here() -> str:
+    """The folder that relative paths start from, which may have changed since a process was started."""
+    try:
+        return os.getcwd()  # noqa: PTH109  # a text is what goes through the pipe
+    except OSError:  # it was removed: nothing is below it
+        return os.curdir
+
+
+def _says_ready(process: Popen) -> bool:
+    try:
+        return process.stdout is not None and pickle.load(process.stdout) == READY
+    except (OSError, ValueError, EOFError, pickle.UnpicklingError):
+        return False
 
 
 def _end(process: Popen) -> None:
     """Kill it where it runs still, and leave nothing of it behind."""
     process.kill()
     process.wait()
+    _close(process)
+
+
+def _close(process: Popen) -> None:
     for stream in (process.stdin, process.stdout):
         if stream is not None:
             with suppress(OSError):  # what was not sent is of no use any more
                 stream.close()
-
-
-# --- a worker process, seen from inside ----------------------------------------------------
-
-
-def main() -> None:
-    """What a worker process runs: it answers until its pipe ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is its parent's business
-    limit_memory(MEMORY)
-    with os.fdopen(os.dup(1), "wb") as replies, Path(os.devnull).open("wb") as nothing:
-        os.dup2(nothing.fileno(), 1)  # whatever a decoder prints must not get into an answer
-        with suppress(EOFError, BrokenPipeError):
-            send(READY, replies)
-            while True:
-                send(answer(pickle.load(sys.stdin.buffer)), replies)
-
-
-def answer(request: tuple[Any, ...]) -> Any:
-    """What a task of `TASKS` gives for its arguments, or the SaladError it raises."""
-    task, *arguments = request
-    try:
-        return TASKS[task](*arguments)
-    except SaladError as error:
-        return error
-
-
-def send(value: Any, stream: IO[bytes]) -> None:
-    """Put a value into a pipe, at once."""
-    pickle.dump(value, stream, protocol=5)
-    stream.flush()
-
-
-def limit_memory(size: int) -> None:
-    """Let this process have no more address space than that many bytes, where the system can see to it."""
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
-    with suppress(OSError, ValueError):
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        within = size if hard == resource.RLIM_INFINITY else min(size, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (within, hard))

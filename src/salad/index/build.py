@@ -29,7 +29,8 @@ from salad.errors import SaladError
 from salad.images.decode import Pixels
 from salad.images.photo import Photo, content_hash, placed
 from salad.images.photo_table import PhotoTable
-from salad.images.workers import Size, Workers
+from salad.images.worker_process import Size
+from salad.images.workers import Workers
 from salad.index.index import Index
 from salad.index.index_folder import resolved
 

@@ -167,7 +167,9 @@ class Index:
         Args:
             photos: The photos; paths are stored absolute, links resolved.
             descriptors: `[N, dim]`, rows of length 1; stored as float16.
-            identities: Content hash of each photo; read from the files where not given.
+            identities: Content hash of each photo; of the files as they are now where not given. Whoever describes
+                files gives those of the bytes that were described (`index_photos` does): a file that was saved anew
+                since would get one version's identity with the other's descriptor.
             update_known: Whether contents the index already holds take their new path, or stay as they are.
 
         Returns:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
@@ -13,8 +12,9 @@ import numpy.typing as npt
 from PIL import Image
 
 from salad.errors import ModelError, PhotoError
-from salad.images.decode import Pixels, decode, squeeze
+from salad.images.decode import Pixels, squeeze
 from salad.images.named import HeldPhoto, NamedPhoto, PhotoBelow
+from salad.images.workers import Workers
 from salad.models.engines import Engine
 from salad.models.torch_engine import TorchEngine
 from salad.network.config import Calibration, ModelConfig, Preprocessing
@@ -233,10 +233,10 @@ def squeezed(photo: PhotoLike, to: Preprocessing) -> Pixels:
         if photo.shape == (to.height, to.width, 3):
             return photo
         photo = Image.fromarray(photo)
-    if isinstance(photo, HeldPhoto | PhotoBelow):
-        return decode(photo.path, to.height, to.width, to.resample, file=BytesIO(photo.read()))
+    if isinstance(photo, Image.Image):
+        return squeeze(photo, to.height, to.width, to.resample)
     # Files are decoded and squeezed in one go: a large JPEG is reduced while it is decoded, everywhere alike. Whatever
     # `Path` takes names a file, entries of `os.scandir` too; it refuses the rest by a TypeError of its own.
-    if not isinstance(photo, Image.Image):
-        return decode(Path(photo), to.height, to.width, to.resample)
-    return squeeze(photo, to.height, to.width, to.resample)
+    file = photo if isinstance(photo, HeldPhoto | PhotoBelow) else Path(photo)
+    with Workers(1) as workers:
+        return workers.decode(file, to.height, to.width, to.resample)
