@@ -150,7 +150,10 @@ def write_whole(path: Path, content: bytes) -> None:
     """
     part = path.with_name(f".{uuid.uuid4().hex}.part")  # on the same disk, for only there a rename is one stroke
     try:
-        part.write_bytes(content)
+        with create_file(part) as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # or a loss of power may leave the new name with nothing in it
         part.replace(path)
     except OSError as error:
         with suppress(OSError):

@@ -104,7 +104,7 @@ def held(photos: list[Photo], table: Catalog) -> Iterator[None]:
 @pytest.fixture
 def empty(tmp_path: Path) -> Iterator[Catalog]:
     Index.create(tmp_path / "i", dim=2, fingerprint="f", model="m").close()
-    made = Catalog(tmp_path / "i" / "photos.sqlite", wait=1)
+    made = Catalog(tmp_path / "i", wait=1)
     yield made
     made.close()
 

@@ -259,7 +259,7 @@ def _spoil(folder: Path, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"format_version": 2}, "newer salad .*index format 2, this one reads up to 1.*upgrade"),
+        ({"format_version": 3}, "newer salad .*index format 3, this one reads up to 2.*upgrade"),
         ({"format_version": "1"}, "damaged"),
         ({"dim": 0}, "damaged"),
         ({"dim": True}, "damaged"),
@@ -531,7 +531,7 @@ def test_info_counts(index: Index) -> None:
     assert info.box == (1.0, 7.0, 1.0, 7.0)
     assert info.bytes == sum(file.stat().st_size for file in index.folder.iterdir())
     assert info.created.tzinfo is not None
-    assert info.format_version == 1
+    assert info.format_version == 2
 
 
 def test_a_box_may_cross_the_date_line() -> None:

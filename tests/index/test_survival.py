@@ -23,6 +23,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from earlier_indexes import as_format_1, change_row
 from salad.errors import SaladError, StoreError
 from salad.images.photo import Photo
 from salad.index import compress
@@ -142,7 +143,7 @@ class Victims:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env=os.environ | one_thread,
+            env=os.environ | one_thread | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
 
     def begin(self, do: str, folder: Path, *, seed: int = 0, steps: int = 0) -> int:
@@ -440,7 +441,7 @@ def test_verify_begins_again_behind_a_compaction(index: Index, monkeypatch: pyte
         bad = look(*arguments)
         if not overtaken:
             overtaken.append(1)
-            index.compact()
+            index.compact(dropping=len)
         return bad
 
     monkeypatch.setattr(verify, "damaged", slow)
@@ -540,10 +541,21 @@ def test_flipped_bytes_are_named_and_the_rest_stays_usable(
         assert all(found(index, row) == str(row) for row in range(20))
 
 
-def test_compaction_lets_go_of_damaged_photos_and_names_them(index: Index) -> None:
+def test_compaction_lets_go_of_damaged_photos_only_where_it_may_and_names_them_before(index: Index) -> None:
     add(index, range(5))
     flip(index, 2)
-    assert index.compact().damaged == [HOME / "2.jpg"]
+    before = {file.name: file.read_bytes() for file in index.folder.iterdir()}
+    with pytest.raises(StoreError, match=r"1 photos of .* are damaged \(/photos/2.jpg\), so nothing was changed"):
+        index.compact()
+    told: list[list[Path]] = []
+
+    def dropping(paths: list[Path]) -> None:
+        assert {file.name: file.read_bytes() for file in index.folder.glob("*.f16")}.items() <= before.items()
+        told.append(paths)
+
+    assert {file.name: file.read_bytes() for file in index.folder.iterdir()} == before
+    assert index.compact(dropping=dropping).damaged == [HOME / "2.jpg"]
+    assert told == [[HOME / "2.jpg"]]
     assert names(index) == ["0", "1", "3", "4"]
     assert index.verify() == []
     assert add(index, range(5)) == 1
@@ -576,7 +588,7 @@ def test_the_ways_out_of_a_truncated_matrix(index: Index, way: str) -> None:
         if way == "remove":
             assert cut.remove([HOME / f"{name}.jpg" for name in "234"]) == 3
         elif way == "compact":
-            assert [path.stem for path in cut.compact().damaged] == ["2", "3", "4"]
+            assert [path.stem for path in cut.compact(dropping=len).damaged] == ["2", "3", "4"]
         else:
             file.write_bytes(kept)
     with Index.open(index.folder) as mended:
@@ -590,9 +602,7 @@ def test_the_ways_out_of_a_truncated_matrix(index: Index, way: str) -> None:
 def test_an_index_without_checksums_can_be_used_and_gets_them(index: Index) -> None:
     add(index, range(5))
     index.close()
-    with sqlite3.connect(index.folder / "photos.sqlite") as db:
-        db.execute("ALTER TABLE photos DROP COLUMN sum")  # as salad 0.1.0 wrote it
-    db.close()
+    as_format_1(index.folder, sums=False)  # as salad 0.1.0 wrote it
     with Index.open(index.folder) as old:
         assert found(old, 3) == "3"
         assert old.verify() == []
@@ -603,7 +613,7 @@ def test_an_index_without_checksums_can_be_used_and_gets_them(index: Index) -> N
         flip(old, 5)
         assert [sentence.split(" has ")[0] for sentence in old.verify()] == [str(HOME / "8.jpg")]
         flip(old, 2)
-        assert old.compact().kept == 4
+        assert old.compact(dropping=len).kept == 4
         flip(old, 0)
         assert [sentence.split(" has ")[0] for sentence in old.verify()] == [str(HOME / "0.jpg")]
 
@@ -628,7 +638,7 @@ def test_a_damaged_table_is_a_sentence(tmp_path_factory: pytest.TempPathFactory,
             index.search(descriptors(["5"]))
             list(index.photos())
             index.info()
-            index.compact()
+            index.compact(dropping=len)
             add(index, [99])
     except SaladError as error:
         said = str(error)
@@ -675,22 +685,27 @@ def test_a_commit_of_more_rows_than_photos_is_told_and_harmless(index: Index, ro
 @pytest.mark.parametrize(
     ("column", "value", "named"),
     [
-        ("time", "'yesterday'", "time"),
-        ("time", "5", "time"),
-        ("lat", "99.5", "position"),
-        ("lon", "NULL", "position"),
-        ("heading", "'north'", "heading"),
-        ("path", "x'2f613ac3'", "path"),
+        ("time", "yesterday", "time"),
+        ("time", 5, "time"),
+        ("lat", 99.5, "position"),
+        ("lat", 1e308, "position"),
+        ("lon", None, "position"),
+        ("heading", "north", "heading"),
+        ("heading", 360.5, "heading"),
+        ("path", b"/a:\xc3", "path"),
+        ("identity", b"1", "content"),
     ],
 )
+@pytest.mark.parametrize("checksum", [True, False], ids=["with its checksum", "without"])
 def test_a_photo_that_makes_no_sense_is_named_and_can_be_used(
-    index: Index, column: str, value: str, named: str
+    index: Index, column: str, value: object, named: str, checksum: bool
 ) -> None:
     add(index, range(3))
-    with sqlite3.connect(index.folder / "photos.sqlite") as db:
-        db.execute(f"UPDATE photos SET lat = 1.0, lon = 2.0, {column} = {value} WHERE row = 1")
-    db.close()
-    assert [sentence for sentence in index.verify() if f"the {named} of " in sentence]
+    change_row(index.folder, 1, checksum=checksum, **{"lat": 1.0, "lon": 2.0, column: value})
+    wrong = named if checksum else "record"
+    assert [sentence for sentence in index.verify() if f"the {wrong} of " in sentence]
+    (best,) = index.search(descriptors(["1"]), k=1)[0]
+    assert checksum or (best.photo.where, best.photo.heading, best.photo.time) == (None, None, None)
     assert index.search(descriptors(["1"]), k=1)[0][0].row == 1
     assert [names(index)[0], names(index)[2]] == ["0", "2"]
     assert len(index.missing()) == 3

@@ -58,9 +58,16 @@ def test_equal_photos_tie_and_the_removed_one_stays_away(city: Path) -> None:
 
 
 def test_an_index_made_today_is_the_same_to_the_byte(city: Path, tmp_path: Path) -> None:
-    """Rounding to float16, checksums, the table's form and the header; only the date is another."""
+    """Rounding to float16, checksums, the table's form and the header; only the date and the version are others.
+
+    The table that today's is compared with is that of the old index, once it is brought to today's form.
+    """
     anew = tmp_path / "anew.index"
     make(anew)
+    with salad.Index.open(city) as index:
+        assert index.remove([]) == 0  # a change, before which it is
+    with closing(sqlite3.connect(city / "photos.sqlite")) as db, db:
+        db.execute("UPDATE committed SET generation = generation - 1")
     headers = [json.loads((folder / "index.json").read_bytes()) for folder in (city, anew)]
     assert [header.pop("created")[-6:] for header in headers] == ["+00:00"] * 2
     assert headers[0] == headers[1]
@@ -145,4 +152,4 @@ def test_what_is_damaged_is_passed_over_and_named(city: Path) -> None:
         assert len(told) == 4
         for row in (0, 2, 3, 5):
             assert any(NAMES[row] in sentence for sentence in told), row
-        assert index.compact().kept == 7
+        assert index.compact(dropping=len).kept == 7

@@ -89,7 +89,7 @@ def settle_engine(model: DescriberLike, photos: int) -> None:
 
 def is_index(folder: Path) -> bool:
     """Whether there is an index in a folder."""
-    from salad.index.index_folder import HEADER_FILE
+    from salad.index.header import HEADER_FILE
 
     # Asked before opening, which would complain of a folder that is yet to be made.
     return (folder / HEADER_FILE).exists()

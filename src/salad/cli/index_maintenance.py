@@ -50,8 +50,8 @@ class VerifyCommand:
 
     def run(self) -> int:
         """Check."""
+        from salad.index.header import Header
         from salad.index.index import Index
-        from salad.index.index_folder import Header
 
         Header.read(self.index)  # what is no index, or a later salad's, is not ours to judge
         wrong: list[str] = []
@@ -97,21 +97,25 @@ class RemoveCommand:
 
 @dataclass(frozen=True)
 class CompactCommand:
-    """Give back the room of removed photos; photos with damaged descriptors are let go and named."""
+    """Give back the room of removed photos; where photos are damaged nothing is changed, unless they may be dropped."""
 
     index: IndexFolder
+    drop_damaged: bool = False
+    """Let go of photos whose descriptors are damaged or lost; each is named before."""
 
     def run(self) -> int:
         """Compact."""
         from salad.index.index import Index
 
         with Index.open(self.index) as index:
-            done = index.compact()
-        # `verify` names them too, and leaves them in: here they are gone for good.
-        for path in done.damaged:
-            terminal.say(f"{path} had a damaged descriptor and is no longer in the index: index it again")
+            done = index.compact(dropping=_say_dropped if self.drop_damaged else None)
         terminal.say(f"{self.index}: {done.freed / _MEGA:.1f} MB given back; it holds {done.kept} photos")
         return terminal.FOUND
+
+
+def _say_dropped(paths: Sequence[Path]) -> None:
+    for path in paths:
+        terminal.say(f"{path} is damaged and goes: index it again")
 
 
 @dataclass(frozen=True)

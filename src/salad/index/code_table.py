@@ -10,12 +10,13 @@ from __future__ import annotations
 import re
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from salad.errors import StoreError
 from salad.index.catalog import Catalog
-from salad.search.compressed import Coding
+from salad.search.compressed import Coding, block_rows
 
 SCHEMA = (
     "CREATE TABLE IF NOT EXISTS code_plan (id INTEGER PRIMARY KEY CHECK (id = 1), bytes INTEGER NOT NULL)",
@@ -26,6 +27,7 @@ SCHEMA = (
 )
 CODE_FILE = re.compile(r"codes-\d+\.i8")
 
+_MOST_BYTES = 1 << 20  # of a code; it has no more than a descriptor has numbers
 _SUMS, _MIDDLE, _AXES = np.dtype("<u4"), np.dtype("<f4"), np.dtype("<f2")
 
 
@@ -70,7 +72,8 @@ class CodeTable:
         return [
             CodeSet(file, coding, size, seen, of, rows, tuple(np.frombuffer(sums, _SUMS).tolist()))
             for file, coding, size, seen, of, rows, sums in found
-            if CODE_FILE.fullmatch(str(file)) and matrix in (None, of)  # no other file is ours to read or delete
+            # No other file is ours to read or delete.
+            if CODE_FILE.fullmatch(str(file)) and _makes_sense(size, seen, rows, sums) and matrix in (None, of)
         ]
 
     def coding(self, of: CodeSet, *, dim: int) -> Coding:
@@ -81,8 +84,9 @@ class CodeTable:
         """
         found = self.catalog.select("SELECT step, middle, axes, sum FROM codings WHERE id = ?", (of.coding,))
         for step, middle, axes, noted in found:
-            whole = len(middle) == of.size * _MIDDLE.itemsize and len(axes) == of.size * dim * _AXES.itemsize
-            if whole and noted == _sum(step, middle, axes):
+            whole = isinstance(step, float) and isinstance(middle, bytes) and isinstance(axes, bytes)
+            whole = whole and len(middle) == of.size * _MIDDLE.itemsize and len(axes) == of.size * dim * _AXES.itemsize
+            if whole and noted == _sum(step, middle, axes) and np.isfinite(step):
                 along = np.frombuffer(axes, _AXES).reshape(of.size, dim)
                 return Coding(along.astype(np.float16), np.frombuffer(middle, _MIDDLE).astype(np.float32), step)
         raise StoreError(f"how {self.folder / of.file} is coded is damaged: {way_out(self.folder)}")
@@ -121,6 +125,13 @@ class CodeTable:
 
     def _is_there(self) -> bool:
         return bool(self.catalog.select("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'codes'"))
+
+
+def _makes_sense(size: Any, seen: Any, rows: Any, sums: Any) -> bool:
+    """Whether codes can be of that size and number: a damaged number must not have us ask for so much memory."""
+    if not all(isinstance(number, int) and number >= 0 for number in (size, seen, rows)) or not isinstance(sums, bytes):
+        return False
+    return bool(0 < size <= _MOST_BYTES) and len(sums) == -(-rows // block_rows(size)) * _SUMS.itemsize
 
 
 def _sum(step: float, middle: bytes, axes: bytes) -> int:

@@ -15,11 +15,11 @@ import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from salad.errors import StoreError
+from salad.files import open_file
 from salad.index import index_folder
 from salad.index.catalog import Catalog
 from salad.index.code_table import CODE_FILE, CodeSet, CodeTable, way_out
@@ -57,7 +57,7 @@ class CodeFile:
         self._bad: set[int] = set()
         self._kept: dict[int, Bytes] = {}
         try:
-            self._file: BinaryIO = self.path.open("rb", buffering=0)
+            self._file = open_file(self.path, follow=False)
         except OSError as error:
             raise StoreError(f"{self.path} cannot be read ({error.strerror}): {way_out(folder)}") from error
         weakref.finalize(self, self._file.close)
@@ -115,7 +115,7 @@ class CodeFile:
                 else:  # such systems cannot read without moving the file's one position
                     with self._lock:
                         self._file.seek(place + done)
-                        got = self._file.readinto(raw[done:]) or 0  # type: ignore[attr-defined]
+                        got = self._file.readinto(raw[done:]) or 0
                 if not got:
                     return False
                 done += got
@@ -225,13 +225,14 @@ def carry(catalog: Catalog, kept: Numbers, *, old: str, new: str, generation: in
 
 def begun(folder: Path, generation: int) -> str:
     """Make an empty file of codes, and see its name onto the disk; the name."""
-    path = folder / f"codes-{generation}.i8"
     try:
-        path.write_bytes(b"")
-        index_folder.settle(folder)
+        with index_folder.new_file(folder, "codes-{}.i8", generation) as file:
+            index_folder.settle(folder)
+            return Path(file.name).name
     except OSError as error:
-        raise StoreError(f"{path} cannot be written ({error.strerror}): make room, or check permissions") from error
-    return path.name
+        raise StoreError(
+            f"no codes can be written in {folder} ({error.strerror}): make room, or check permissions"
+        ) from error
 
 
 def sweep(catalog: Catalog) -> None:

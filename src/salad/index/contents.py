@@ -14,6 +14,7 @@ from pathlib import Path
 from salad.errors import StoreError
 from salad.images.photo import Photo
 from salad.index.catalog import Catalog
+from salad.index.facts import Known
 from salad.index.vectors import Half, Snapshot
 from salad.index.verify import checked
 
@@ -58,8 +59,8 @@ def listed(catalog: Catalog) -> Iterator[tuple[Photo, str]]:
             page = catalog.after(last[-1][0] if last else -1)
         if not page:
             return
-        last = [*last, *((row, content) for row, _, content in page)][-_KEPT:]
-        yield from ((photo, content) for _, photo, content in page)
+        last = [*last, *((known.row, known.identity) for known in page)][-_KEPT:]
+        yield from ((known.photo, known.identity) for known in page)
 
 
 def pages(catalog: Catalog, look: Callable[[], Snapshot]) -> Iterator[Page]:
@@ -76,7 +77,7 @@ def pages(catalog: Catalog, look: Callable[[], Snapshot]) -> Iterator[Page]:
         seen, sums = look(), catalog.sums()
         lost = catalog.live_rows(start=seen.rows.held).tolist()
 
-    def still(rows: list[int]) -> dict[int, tuple[Photo, str]]:
+    def still(rows: list[int]) -> dict[int, Known]:
         found = catalog.photos_at(rows, vectors=seen.rows.path.name)
         if found is None:
             raise _compacted(catalog)
@@ -88,13 +89,13 @@ def pages(catalog: Catalog, look: Callable[[], Snapshot]) -> Iterator[Page]:
         held = still((start + alive.nonzero()[0]).tolist())
         rows = [row for row in held if good[row - start]]
         yield Page(
-            [held[row][0] for row in rows],
-            [held[row][1] for row in rows],
+            [held[row].photo for row in rows],
+            [held[row].identity for row in rows],
             block[[row - start for row in rows]],
-            [held[row][0].path for row in held if not good[row - start]],
+            [held[row].photo.path for row in held if not good[row - start]],
         )
     if lost:
-        yield Page([], [], seen.rows.take([]), [photo.path for photo, _ in still(lost).values()])
+        yield Page([], [], seen.rows.take([]), [known.photo.path for known in still(lost).values()])
 
 
 def _compacted(catalog: Catalog) -> StoreError:

@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -21,14 +22,15 @@ from salad.errors import StoreError, WrongModelError
 from salad.images.named import HeldPhoto
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder, verify
-from salad.index.catalog import CATALOG_FILE, Catalog, Committed
+from salad.index.agreement import check_header, settle_before_writing
+from salad.index.catalog import Catalog, Committed
 from salad.index.code_table import CodeTable
 from salad.index.codes import CodeFile, extend, newest
-from salad.index.compact import Compacted, compact
+from salad.index.compact import Compacted, Dropping, compact
 from salad.index.compress import Compressed, Progress, compress, is_due, take_away
 from salad.index.contents import Page, listed, pages
 from salad.index.filter_sql import allowed
-from salad.index.index_folder import Header
+from salad.index.header import Header
 from salad.index.vectors import FileRows, Snapshot, append, storable, sums
 from salad.index.verify import ChecksumVerifier, IndexInfo
 from salad.search.base import Mask, Queries, Searcher, SearcherFactory
@@ -123,8 +125,10 @@ class Index:
         """
         home = Path(os.path.realpath(folder))  # a link bent elsewhere later does not move an open index
         header = Header.read(home)
-        index = cls(home, header, Catalog(home / CATALOG_FILE, wait=wait), searcher=searcher)
+        catalog = Catalog(home, wait=wait, before_writing=partial(settle_before_writing, home, header))
+        index = cls(home, header, catalog, searcher=searcher)
         try:
+            check_header(home, header, catalog)
             index._snapshot()  # what is damaged shows here, not at the first search
         except BaseException:
             index.close()
@@ -215,8 +219,8 @@ class Index:
         if lost:
             raise StoreError(
                 f"{rows.path} is truncated and lacks the descriptors of {lost} photos, so nothing was added: restore "
-                f"it, or run 'salad compact {self.folder}', which lets go of those photos and names them, and index "
-                "them again"
+                f"it, or run 'salad compact {self.folder} --drop-damaged', which names those photos and lets go of "
+                "them, and index them again"
             )
 
     def update(self, photos: Sequence[Photo], identities: Sequence[str]) -> None:
@@ -241,15 +245,18 @@ class Index:
             self._remove(gone)
         return gone
 
-    def compact(self) -> Compacted:
-        """Give back the room of removed photos, and let go of those whose descriptors are damaged or lost.
+    def compact(self, *, dropping: Dropping | None = None) -> Compacted:
+        """Give back the room of removed photos. Others may search meanwhile; another writer waits.
 
-        Others may search meanwhile; another writer waits.
+        Args:
+            dropping: Called with the photos whose descriptors are damaged or lost, if there are any, before anything is
+                written; then they are let go of.
 
         Raises:
-            StoreError: If another program is writing, or the disk has no room; nothing changed.
+            StoreError: If photos are damaged and `dropping` is not given, another program is writing, or the disk has
+                no room; nothing changed.
         """
-        return compact(self.folder, self._catalog, dim=self.dim)
+        return compact(self.folder, self._catalog, dim=self.dim, dropping=dropping)
 
     def compress(self, size: int | None = None, *, progress: Progress | None = None) -> Compressed:
         """Give all photos codes, by which a large index is searched in a fraction of the time and of the memory.
@@ -339,7 +346,7 @@ class Index:
                 if held is not None and checksums.passes(self._catalog, found):
                     break
         return [
-            [Match(held[row][0], score, row) for row, score in zip(*best, strict=True) if row in held]
+            [Match(held[row].photo, score, row) for row, score in zip(*best, strict=True) if row in held]
             for best in zip(hits.rows.tolist(), hits.scores.tolist(), strict=True)
         ]
 

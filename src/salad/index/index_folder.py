@@ -2,96 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
-from datetime import datetime
 from pathlib import Path
+from typing import BinaryIO
 
 from salad.errors import StoreError
-from salad.index.catalog import CATALOG_FILE, Catalog
+from salad.files import create_file
+from salad.index.catalog import Catalog
+from salad.index.header import Header
 
-FORMAT_VERSION = 1
-HEADER_FILE, VECTORS_FILE = "index.json", "descriptors.f16"
-_KIND = "salad index"
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """The model an index was made with, and the form it is written in.
-
-    Attributes:
-        model: Name of the model, for people.
-        fingerprint: The model's fingerprint: weights and preprocessing, for the machine.
-        dim: Numbers in a descriptor.
-        created: When the index was made, UTC.
-        format_version: The form of the folder, see docs/index-format.md.
-    """
-
-    model: str
-    fingerprint: str
-    dim: int
-    created: datetime
-    format_version: int = FORMAT_VERSION
-
-    def write(self, folder: Path) -> None:
-        """Write `index.json` into `folder`."""
-        fields = {"kind": _KIND, **asdict(self), "created": self.created.isoformat()}
-        (folder / HEADER_FILE).write_text(json.dumps(fields, indent=2) + "\n", encoding="utf-8")
-
-    @classmethod
-    def read(cls, folder: Path) -> Header:
-        """Read `index.json` of `folder`.
-
-        Raises:
-            StoreError: If there is none, it is not ours, or a newer version of salad wrote it.
-        """
-        try:
-            fields = json.loads((folder / HEADER_FILE).read_text(encoding="utf-8"))
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise StoreError(
-                f"{folder} is not an index (it has no {HEADER_FILE}): make one with 'salad index PHOTOS --to {folder}'"
-            ) from error
-        except OSError as error:
-            raise StoreError(
-                f"{folder / HEADER_FILE} cannot be read ({error.strerror}): check its permissions"
-            ) from error
-        except ValueError as error:
-            raise _damaged(folder) from error
-        if not isinstance(fields, dict) or fields.get("kind") != _KIND:
-            raise _damaged(folder)
-        version = fields.get("format_version")
-        if isinstance(version, int) and version > FORMAT_VERSION:
-            raise StoreError(
-                f"{folder} was written by a newer salad (index format {version}, this one reads up to "
-                f"{FORMAT_VERSION}): upgrade salad to use it"
-            )
-        try:
-            return cls(
-                model=str(fields["model"]),
-                fingerprint=str(fields["fingerprint"]),
-                dim=_whole(fields["dim"]),
-                created=datetime.fromisoformat(str(fields["created"])),
-                format_version=_whole(version),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise _damaged(folder) from error
-
-
-def _whole(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:  # JSON's true is an int to Python
-        raise ValueError(value)
-    return value
-
-
-def _damaged(folder: Path) -> StoreError:
-    return StoreError(
-        f"{folder / HEADER_FILE} is damaged or not of a salad index: restore it, or index the photos again"
-    )
+VECTORS_FILE = "descriptors.f16"
 
 
 def make(folder: Path, header: Header) -> Path:
@@ -102,7 +26,7 @@ def make(folder: Path, header: Header) -> Path:
     """
     with drafted(folder, "index") as draft:
         (draft / VECTORS_FILE).touch()
-        Catalog.create(draft / CATALOG_FILE, matrix=VECTORS_FILE)
+        Catalog.create(draft, matrix=VECTORS_FILE, dim=header.dim, fingerprint=header.fingerprint)
         header.write(draft)
     return folder
 
@@ -137,12 +61,29 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
         shutil.rmtree(draft, ignore_errors=True)
 
 
+def new_file(folder: Path, name: str, number: int) -> BinaryIO:
+    """Make a file that is not there yet, called after the first free number from `number` on, and open it for writing.
+
+    Args:
+        folder: The index.
+        name: Of the file, with `{}` where its number stands.
+        number: The number of the commit that is to come.
+
+    Raises:
+        OSError: If no file can be made.
+    """
+    while True:
+        with suppress(FileExistsError):
+            return create_file(folder / name.format(number))
+        number += 1
+
+
 def size(folder: Path) -> int:
     """Bytes of the files in `folder`; one that goes away meanwhile counts nothing."""
     total = 0
     for file in folder.iterdir():
         with suppress(FileNotFoundError):
-            total += file.stat().st_size
+            total += file.lstat().st_size
     return total
 
 

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from salad.errors import StoreError
-from salad.files import open_file
+from salad.files import create_file, open_file, open_in_place
 from salad.npy import read_head
 from salad.search.base import LONGEST_UNIT, UNIT_TOLERANCE, Block, Mask
 
@@ -63,8 +63,11 @@ class FileRows:
         stored: np.dtype[np.floating] = STORED,
         start: int = 0,
         longest: float | None = LONGEST_UNIT,
+        follow: bool = False,
     ) -> None:
         """Open `path`, of which `rows` rows of `dim` numbers, `stored` as this type, count from byte `start` on.
+
+        It may be a link where `follow` is set, as it may where it is not the file of an index.
 
         Raises:
             StoreError: If the file is missing or may not be read.
@@ -73,11 +76,13 @@ class FileRows:
         self.dtype: np.dtype[np.floating] = np.dtype(np.float16 if stored.type is np.float16 else np.float32)
         self._stored, self._start = stored, start
         try:
-            self._file = path.open("rb", buffering=0)
+            self._file = open_file(path, follow=follow)
         except FileNotFoundError as error:
             raise StoreError(f"{path} is missing: restore it, or index the photos again") from error
         except OSError as error:
-            raise StoreError(f"{path} cannot be read ({error.strerror}): check its permissions") from error
+            raise StoreError(
+                f"{path} cannot be read ({error.strerror}): check its permissions, or restore it"
+            ) from error
         self._swept = False
         self._kept: tuple[Block, Mask] | None = None  # rows, and which of them are there
         # A search may hold them longer than the index does.
@@ -111,7 +116,9 @@ class FileRows:
             )
         if shape[1] > _WIDEST:  # a file of holes may say what it likes, and one such row would fill the memory
             raise StoreError(f"{path} holds rows of {shape[1]:,} numbers: a descriptor has {_WIDEST:,} at most")
-        found = cls(path, rows=shape[0], dim=shape[1], stored=np.dtype(head.code), start=head.start, longest=None)
+        found = cls(
+            path, rows=shape[0], dim=shape[1], stored=np.dtype(head.code), start=head.start, longest=None, follow=True
+        )
         if found.held < found.rows:
             raise StoreError(f"{path} is cut short (it should hold {found.rows} rows): write it again")
         return found
@@ -305,7 +312,7 @@ def append(path: Path, rows: Half | npt.NDArray[np.int8], *, at: int) -> None:
     stored = np.ascontiguousarray(rows, dtype=rows.dtype.newbyteorder("<"))
     start = at * stored.shape[1] * stored.itemsize
     try:
-        with path.open("r+b") as file:
+        with open_in_place(path) as file:
             try:
                 file.seek(start)
                 file.write(stored.data)
@@ -328,7 +335,7 @@ class NpyWriter:
         """Begin the file at `path`."""
         self.rows = 0
         self._dim, self._dtype = dim, np.dtype(dtype).newbyteorder("<")
-        self._file: BinaryIO = path.open("wb")
+        self._file: BinaryIO = create_file(path)
         self._begin()
         self._start = self._file.tell()
 

@@ -16,9 +16,10 @@ from salad.errors import StoreError
 from salad.geo import metres
 from salad.index import codes as code_files
 from salad.index import index_folder, vectors
-from salad.index.catalog import PHOTO, UNKNOWN, Catalog, row_trouble
+from salad.index.catalog import Catalog
 from salad.index.code_table import CodeTable, way_out
-from salad.index.index_folder import Header
+from salad.index.facts import UNKNOWN
+from salad.index.header import FORMAT_VERSION, Header
 from salad.index.vectors import FileRows, Half, Snapshot
 from salad.search.base import UNIT_TOLERANCE, Mask, Numbers
 from salad.search.compressed import Bytes
@@ -88,6 +89,7 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
     """What the index in `folder` holds, in numbers."""
     with catalog.reading():  # one look, so that the numbers belong together
         last, positions = catalog.committed(), catalog.positions()
+        version = FORMAT_VERSION if catalog.is_todays() else header.format_version
         codes = next(iter(CodeTable(catalog).sets(matrix=last.matrix)), None)
         ((photos, with_heading, with_time, earliest, latest),) = catalog.select(
             "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time), MAX(time) FROM photos WHERE removed = 0"
@@ -113,7 +115,7 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
         span_km=span_km(around) if around else None,
         earliest=earliest,
         latest=latest,
-        format_version=header.format_version,
+        format_version=version,
     )
 
 
@@ -142,11 +144,12 @@ def span_km(around: Box) -> tuple[float, float]:
 def sound(rows: Half, sums: Numbers) -> Mask:
     """Which rows of `[n, dim]` are what was written, by the checksums noted in `sums`.
 
-    Where none was noted (`UNKNOWN`) it goes by the length, which must be 1; rounding to float16 moves it a bit.
+    Every row is of length 1; rounding to float16 moves it a bit. That alone is looked at where no checksum was noted
+    (`UNKNOWN`).
     """
-    now = np.array(vectors.sums(rows), dtype=np.int64)  # the last word wherever a checksum was written
+    now = np.array(vectors.sums(rows), dtype=np.int64)
     plausible = np.abs(vectors.lengths(rows) - 1) <= UNIT_TOLERANCE + _ROUNDING
-    good: Mask = (sums == now) | ((sums == UNKNOWN) & plausible)
+    good: Mask = plausible & ((sums == now) | (sums == UNKNOWN))
     return good
 
 
@@ -201,8 +204,7 @@ class ChecksumVerifier:
         passed = True
         for low in range(0, len(found), _CHECKED):
             some = found[low : low + _CHECKED]
-            noted = catalog.sums_at(some)
-            wrong = (noted != UNKNOWN) & (noted != vectors.sums(self._snapshot.rows.take(some)))
+            wrong = ~sound(self._snapshot.rows.take(some), catalog.sums_at(some))
             self._checked[some] = True
             self._damaged[some[wrong]] = True
             passed = passed and not wrong.any()
@@ -234,17 +236,13 @@ def catalog_trouble(catalog: Catalog) -> list[str]:
     with catalog.reading():
         catalog.committed()
         said = [text for (text,) in catalog.select("PRAGMA integrity_check") if text != "ok"]
-        ((rows,),) = catalog.select("SELECT rows FROM committed")
-        ((count, top),) = catalog.select("SELECT COUNT(*), COALESCE(MAX(row), -1) FROM photos")
-        if (count, top) != (rows, rows - 1):
-            said.append(f"it lists {count} photos up to row {top}, but {rows} rows were committed")
+        said += filter(None, [catalog.contradiction()])
         said = [f"{catalog.path} is damaged ({text}): restore it, or index the photos again" for text in said]
         # As they are written, whatever number a row has: a damaged one may have any.
         last = -(1 << 63)
-        sql = f"SELECT {PHOTO} FROM photos WHERE removed = 0 AND row > ? ORDER BY row LIMIT 1000"
-        while page := catalog.select(sql, (last,)):
-            said += filter(None, map(row_trouble, page))
-            last = page[-1][0]
+        while page := catalog.after(last, removed=True):
+            said += [known.trouble for known in page if known.trouble]
+            last = page[-1].row
         return said
 
 
@@ -264,9 +262,9 @@ def vectors_trouble(catalog: Catalog, look: Callable[[], Snapshot]) -> list[str]
             "committed; restore it, or let go of the photos whose descriptors it lost and index them again"
         )
     return said + [
-        f"{photo.path} has {'lost its' if row >= seen.rows.held else 'a damaged'} descriptor: remove it and "
+        f"{known.photo.path} has {'lost its' if row >= seen.rows.held else 'a damaged'} descriptor: remove it and "
         "index it again"
-        for row, (photo, _) in named.items()
+        for row, known in named.items()
     ]
 
 
