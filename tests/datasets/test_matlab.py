@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -87,6 +88,30 @@ def test_refusals(tmp_path: Path, fakes: ModuleType, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(matlab, "_MOST", 64)
     with pytest.raises(BenchmarkError, match="unpacks to more"):
         read_struct(path, "dbStruct")
+
+
+def test_a_small_file_does_not_fill_the_memory(
+    tmp_path: Path, fakes: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Empty cells by the million, fields of no name, bytes that are eight times as long as numbers."""
+    path = tmp_path / "a.mat"
+    path.write_bytes(fakes.mat_file({"cells": ["x"] * 50, "metres": [1.0] * 50}, packed=True))
+    for name, most, said in (("_ELEMENTS", 100, "more parts"), ("_COUNT", 60, "more numbers")):
+        with monkeypatch.context() as patch:
+            patch.setattr(matlab, name, most)
+            with pytest.raises(BenchmarkError, match=said):
+                read_struct(path, "dbStruct")
+    assert set(read_struct(path, "dbStruct")) == {"cells", "metres"}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and files of holes are POSIX's")
+def test_what_is_no_file_and_what_is_full_of_holes(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "holes").touch()
+    os.truncate(tmp_path / "holes", 1 << 40)
+    for name in ("pipe", "holes"):
+        with pytest.raises(BenchmarkError, match=r"cannot be read .*(no regular file|longer than)"):
+            read_struct(tmp_path / name, "dbStruct")
 
 
 def told(path: Path) -> str | None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+import os
 import pickle
 import struct
 import zipfile
@@ -97,6 +99,21 @@ def test_nothing_in_a_file_is_run(tmp_path: Path, fakes: ModuleType) -> None:
     assert not marker.exists()
     np.load(path, allow_pickle=True)  # so that the test above means something
     assert marker.exists()
+
+
+def test_one_list_that_is_named_a_million_times_is_looked_through_once(fakes: ModuleType) -> None:
+    """A hundred kilobytes that would take hours: 200,000 numbers, looked through 50,000 times."""
+    held = np.empty(50_000, dtype=object)
+    held.fill(list(range(200_000)))
+    with pytest.raises(BenchmarkError, match="holds more than 134217728 numbers"):
+        parse_npy(saved(held), "x").rows()
+
+
+def test_sides_beyond_all_numbers_are_refused() -> None:
+    for shape in ("(0, " + "9" * 18 + ", " + "9" * 18 + ")", "(" + "9" * 18 + ",)", "(" + "2, " * 31 + ")"):
+        head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+        with pytest.raises(BenchmarkError, match=r"ends before its|not a whole"):
+            parse_npy(b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + bytes(64), "x")
 
 
 GLOBALS = [
@@ -306,6 +323,29 @@ class TestZipped:
         monkeypatch.setattr(safe_numpy, "_MOST_BYTES", 100)
         with pytest.raises(BenchmarkError, match="unpacks to more"):
             read_npz(tmp_path / "a.npz")
+
+    def test_packed_otherwise_than_numpy_packs(self, tmp_path: Path) -> None:
+        """LZMA, for one, has each file say how much memory it wants."""
+        with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_LZMA) as archive:
+            archive.writestr("a.npy", saved(np.zeros(5)))
+        with pytest.raises(BenchmarkError, match="packed in a way that numpy never packs"):
+            read_npz(tmp_path / "a.npz")
+
+    def test_a_list_of_contents_without_end(self, tmp_path: Path) -> None:
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            for number in range(20_000):
+                archive.writestr(f"{number}.txt", b"")
+        with pytest.raises(BenchmarkError, match="lists more than a few arrays"):
+            read_npz(tmp_path / "a.npz")
+
+    @pytest.mark.skipif(os.name != "posix", reason="pipes and files of holes are POSIX's")
+    def test_what_is_no_file_and_what_is_full_of_holes(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "pipe")
+        (tmp_path / "holes").touch()
+        os.truncate(tmp_path / "holes", 1 << 40)
+        for read, name in itertools.product((read_npy, read_npz), ("pipe", "holes")):
+            with pytest.raises(BenchmarkError, match=r"no regular file|longer than|not a whole \.npz"):
+                read(tmp_path / name)
 
     @settings(max_examples=100)
     @given(edits=Edits, cut=st.one_of(st.just(0), st.integers(0, 300)))

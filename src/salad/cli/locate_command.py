@@ -89,8 +89,10 @@ class FilterOptions:
 
 
 def _degrees_in(text: str, count: int, option: str, form: str) -> list[float]:
+    from salad.tables import number
+
     try:
-        found = [float(part) for part in text.split(",")]
+        found = [number(part) for part in text.split(",")]
     except ValueError:
         found = []  # refused below, as too few and too many are
     if len(found) != count:

@@ -229,7 +229,7 @@ class Distances:
             math.inf if metres is None else real(metres) for metres in (read["median"], *read["median_interval"])
         )
         return cls(
-            known=count(read["known"]),
+            known=count(read["known"], least=1),
             median=median,
             median_interval=Interval(low, high),
             within={whole(metres): real(percent) for metres, percent in read["within"].items()},

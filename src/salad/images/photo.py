@@ -15,6 +15,7 @@ from salad.errors import PhotoError
 from salad.geo import GeoPoint
 from salad.images.decode import existing, in_memory, naming
 from salad.images.metadata import Position, parse_at_name, read_exif
+from salad.tables import bounded_lines
 
 if TYPE_CHECKING:
     from salad.images.photo_table import PhotoTable
@@ -86,8 +87,8 @@ def listed(stdin: TextIO) -> list[Path]:
         PhotoError: If the list is not text.
     """
     try:
-        lines = [line.removeprefix("\ufeff").rstrip("\r\n") for line in stdin]
-    except UnicodeDecodeError as error:
+        lines = [line.removeprefix("\ufeff").rstrip("\r\n") for line in bounded_lines(stdin)]
+    except ValueError as error:  # not UTF-8, or a line without end
         raise PhotoError("the list on standard input is not text: write one path a line, in UTF-8") from error
     return [Path(line) for line in lines if line.strip()]
 
