@@ -7,6 +7,8 @@ import os
 import shutil
 import sqlite3
 import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable
 from contextlib import closing, suppress
@@ -22,6 +24,7 @@ from salad.errors import StoreError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
 from salad.index.index import Index
+from salad.search.filters import Filter
 
 DIM = 8
 
@@ -197,6 +200,16 @@ def test_what_is_damaged_of_a_photo_counts_as_unknown_and_stays_so(folder: Path)
         assert index.search(unit(2)[1:], k=1)[0][0].photo == photo(1)
 
 
+def test_a_filter_finds_no_photo_whose_record_is_damaged(folder: Path) -> None:
+    near = Filter(near=GeoPoint(47.01, 8.5), within_m=100.0)
+    with Index.open(folder) as index:
+        assert [match.photo for match in index.search(unit(2)[1:], k=1, where=near)[0]] == [photo(1)]
+    change_row(folder, 1, checksum=False, heading=11.0)
+    with Index.open(folder) as index:
+        assert index.search(unit(2)[1:], k=1, where=near) == [[]]
+        assert len(index.search(unit(2)[1:], k=1)[0]) == 1
+
+
 @pytest.mark.parametrize("number", [np.nan, np.inf, 0.0, 30.0])
 def test_a_row_that_cannot_be_is_damaged_though_its_checksum_is_right(folder: Path, number: float) -> None:
     rows = np.memmap(folder / "descriptors.f16", dtype="<f2", mode="r+", shape=(5, DIM))
@@ -281,6 +294,71 @@ def test_others_have_tables_and_columns_of_their_own(folder: Path) -> None:
     with closing(sqlite3.connect(folder / "photos.sqlite")) as db:
         assert db.execute("SELECT * FROM corrections").fetchall() == [("x", 1.5)]
         assert db.execute("SELECT rating FROM photos ORDER BY row").fetchall() == [(0,), (1,), (2,), (4,), (None,)]
+
+
+# --- what killed processes leave -------------------------------------------------------------
+
+_KILLED = """
+import os, sys
+from pathlib import Path
+from salad.index.index_folder import drafted
+
+with drafted(Path(sys.argv[1]), "index") as draft:
+    (draft / "half").write_bytes(b"x")
+    print("there", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are locked on POSIX only")
+def test_drafts_of_killed_processes_are_swept_and_those_of_living_ones_are_not(tmp_path: Path) -> None:
+    target = tmp_path / "new.index"
+    makers = []
+    for _ in range(2):
+        makers.append(
+            subprocess.Popen(
+                [sys.executable, "-c", _KILLED, target], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+        )
+        assert makers[-1].stdout is not None
+        assert makers[-1].stdout.readline() == "there\n"
+    dead, living = makers
+    others = [tmp_path / ".new.index.mine", tmp_path / f".old.index.{'0' * 32}", tmp_path / f".new.index.{'1' * 32}"]
+    for folder in others[:2]:
+        folder.mkdir()
+    others[2].symlink_to(others[0])
+    assert len(list(tmp_path.glob(".new.index.*/half"))) == 2
+    dead.kill()
+    dead.communicate()
+    Index.create(target, dim=DIM, fingerprint="f", model="m").close()
+    assert len(list(tmp_path.glob(".new.index.*/half"))) == 1
+    assert all(folder.exists() for folder in others)
+    living.communicate()
+    assert not list(tmp_path.glob(".new.index.*/half"))
+    assert sorted(file.name for file in target.iterdir()) == ["descriptors.f16", "index.json", "photos.sqlite"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a limit to files' size is POSIX's")
+@pytest.mark.parametrize("limit", [0, 100, 4096, 20_000])
+def test_an_index_that_there_is_no_room_for_is_a_sentence(tmp_path: Path, limit: int) -> None:
+    code = """
+import resource, signal, sys
+from salad.errors import StoreError
+from salad.index.index import Index
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+try:
+    Index.create(sys.argv[1], dim=8, fingerprint="f", model="m")
+except StoreError as error:
+    sys.stderr.write(f"{error}")
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "i", str(limit)], check=True, capture_output=True, text=True
+    )
+    assert "make room" in told.stderr
+    assert len(told.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
 
 
 # --- folders of somebody else ----------------------------------------------------------------

@@ -25,7 +25,7 @@ from salad.search.base import Mask, Numbers
 
 Dropping = Callable[[list[Path]], None]
 
-_OURS = re.compile(r"descriptors(-\d+)?\.f16")
+_OURS = re.compile(r"descriptors(-\d+)?\.f16|\.[0-9a-f]{32}\.part")  # the second is of an index.json
 _NAMED = 5  # damaged photos named in a sentence; `verify` names all
 
 
@@ -139,7 +139,7 @@ def _refusal(folder: Path, damaged: list[Path]) -> StoreError:
 
 
 def _sweep(folder: Path, *, keep: str) -> None:
-    """Delete matrix files nobody names: of the last compaction, or of one that was killed."""
+    """Delete files that nobody names: of the last compaction, or of a process that was killed."""
     for file in folder.iterdir():
         if file.name != keep and _OURS.fullmatch(file.name):
             with suppress(OSError):  # somebody holds it open, where that matters: the next sweep will do it

@@ -345,6 +345,8 @@ class Index:
                 held = self._catalog.photos_at(found, vectors=seen.rows.path.name)
                 if held is not None and checksums.passes(self._catalog, found):
                     break
+        if where is not None:  # of a photo whose record is damaged nobody knows whether it may be found
+            held = {row: known for row, known in held.items() if not known.trouble}
         return [
             [Match(held[row].photo, score, row) for row, score in zip(*best, strict=True) if row in held]
             for best in zip(hits.rows.tolist(), hits.scores.tolist(), strict=True)

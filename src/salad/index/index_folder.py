@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import uuid
 from collections.abc import Iterable, Iterator
@@ -43,10 +44,15 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
         StoreError: If the folder is in use or cannot be written.
     """
     draft = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
+    held: list[int] = []  # closed, and so unlocked, when this ends, however it does
     try:
         if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
             raise StoreError(f"{folder} already exists and is not empty: name another folder, or open it to add to it")
-        draft.mkdir(parents=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with _locked(folder.parent):  # so that nobody takes this draft for a dead one before it is locked
+            _sweep_drafts(folder)
+            draft.mkdir()
+            held += _lock(draft)
         yield draft
         settle(draft)  # its files' names onto the disk before its own says that all are there
         if folder.exists():
@@ -59,6 +65,47 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
         ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        for descriptor in held:
+            os.close(descriptor)
+
+
+def _sweep_drafts(folder: Path) -> None:
+    """Delete what was to become `folder` and whose maker was killed: nobody holds a lock on it any more."""
+    name = re.compile(re.escape(f".{folder.name}.") + "[0-9a-f]{32}")
+    for draft in folder.parent.iterdir():
+        if name.fullmatch(draft.name) and draft.is_dir() and not draft.is_symlink():
+            for descriptor in _lock(draft):
+                shutil.rmtree(draft, ignore_errors=True)
+                os.close(descriptor)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Wait for the lock of a folder and hold it, where there are such locks."""
+    held = _lock(folder, wait=True)
+    try:
+        yield
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+
+
+def _lock(folder: Path, *, wait: bool = False) -> list[int]:
+    """The descriptor that holds the lock of a folder; none where somebody else does, or there are no such locks."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return []
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:  # a parent that may be written and not be read
+        return []
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:  # held, or some network's disk
+        os.close(descriptor)
+        return []
+    return [descriptor]
 
 
 def new_file(folder: Path, name: str, number: int) -> BinaryIO:
