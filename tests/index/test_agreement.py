@@ -498,6 +498,40 @@ def test_a_row_of_any_number_takes_no_memory(folder: Path, row: int) -> None:
     assert any("damaged" in sentence for sentence in try_everything(folder))
 
 
+VALUES = [None, 5, -1, 1 << 62, 2.5, float("inf"), "", "x" * 100_000, "a\0b", b"", b"\xff\xfe", b"x" * 100_000]
+COLUMNS_HELD = {
+    "photos": ["row", "path", "identity", "lat", "lon", "heading", "time", "removed", "sum", "source", "facts"],
+    "committed": ["id", "rows", "generation", "matrix", "dim", "fingerprint"],
+    "codes": ["file", "coding", "matrix", "rows", "sums"],
+    "codings": ["id", "bytes", "seen", "step", "middle", "axes", "sum"],
+    "code_plan": ["bytes"],
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "column"), [(table, name) for table, names in COLUMNS_HELD.items() for name in names]
+)
+def test_any_value_in_any_column_is_told_or_harmless(folder: Path, table: str, column: str) -> None:
+    with Index.open(folder) as index:
+        index.compress(4)
+    whole = (folder / "photos.sqlite").read_bytes()
+    for value in VALUES:
+        (folder / "photos.sqlite").write_bytes(whole)
+        with closing(sqlite3.connect(folder / "photos.sqlite")) as db, db, suppress(sqlite3.Error):
+            db.execute("PRAGMA ignore_check_constraints = ON")
+            db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = (SELECT max(rowid) FROM {table})", (value,))
+        for checksum in (True, False):
+            if checksum and table == "photos" and column not in ("row", "facts", "removed"):
+                with suppress(sqlite3.Error):
+                    change_row(folder, 4, checksum=True)
+            said = try_everything(folder)
+            with suppress(StoreError), Index.open(folder) as index:
+                json.dumps(index.info().as_dict())
+                list(index.photos())
+                list(index.pages())
+            assert all(len(sentence) < 1000 for sentence in said)
+
+
 @pytest.mark.parametrize("name", ["descriptors-2.f16", "descriptors-3.f16", "descriptors-4.f16", "mine.f16"])
 def test_a_matrix_called_as_the_next_one_would_be_is_not_written_over(folder: Path, name: str) -> None:
     (folder / "descriptors.f16").rename(folder / name)

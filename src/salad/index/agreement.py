@@ -15,6 +15,7 @@ import numpy as np
 from salad.errors import StoreError
 from salad.index import verify
 from salad.index.catalog import Catalog
+from salad.index.database import shortened
 from salad.index.header import HEADER_FILE, Header
 from salad.index.index_folder import settle
 from salad.index.vectors import STORED, FileRows
@@ -33,7 +34,7 @@ def check_header(folder: Path, header: Header, catalog: Catalog) -> None:
         held = catalog.made_with()
     said = header.dim, header.fingerprint
     if held is not None and held != said:
-        raise _differ(folder, f"{said[0]} numbers of {said[1]}", f"{held[0]} of {held[1]}")
+        raise _differ(folder, f"{said[0]} numbers of {said[1]}", shortened(f"{held[0]} of {held[1]}"))
 
 
 def settle_before_writing(folder: Path, header: Header, catalog: Catalog) -> None:

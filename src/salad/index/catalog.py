@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from salad.errors import StoreError
 from salad.images.photo import Photo
-from salad.index.database import Database, explaining
+from salad.index.database import Database, explaining, shortened
 from salad.index.facts import COLUMNS, UNKNOWN, Known, columns_of, facts_sum, known_of_row
 
 # Paths are bytes on most systems and need not be text; they are stored as the bytes they are (os.fsencode),
@@ -160,7 +160,9 @@ class Catalog(Database):
         counts = counts and min(rows, listed) <= os.lstat(self.path).st_size // _LEAST
         # A name with a folder in it, or of another file, would have us write where we must not.
         if not counts or not isinstance(matrix, str) or not _MATRIX.fullmatch(matrix):
-            raise StoreError(f"{self.path} is damaged (its commit says {row}): restore it, or index the photos again")
+            raise StoreError(
+                f"{self.path} is damaged (its commit says {shortened(row)}): restore it, or index the photos again"
+            )
         return Committed(min(rows, listed), generation, matrix)
 
     def made_with(self) -> tuple[int, str] | None:

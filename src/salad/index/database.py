@@ -26,6 +26,7 @@ _WAYS_OUT = "restore it, or index the photos again"
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 _CACHE_KB = 64 << 10  # the tree of contents of a million photos is touched everywhere by an addition
 _SECONDS, _BYTES_A_SECOND = 20.0, 1 << 20  # that a statement may take, and what a slow disk gives
+_QUOTED = 200  # letters of what a file holds that a sentence repeats
 _STEPS = 100_000  # of SQLite's machine between two looks at the clock
 _LIMITS = {  # what no table of ours comes near; a new one is built beside the old by VACUUM, hence one attached
     sqlite3.SQLITE_LIMIT_LENGTH: 1 << 28,
@@ -215,14 +216,18 @@ class Database:
         foreign = f"{self.path} is not to be trusted"
         for kind, name, sql in self._run("SELECT type, name, sql FROM sqlite_master").fetchall():
             if kind not in ("table", "index"):
-                raise StoreError(f"{foreign} (it holds the {kind} {name}, and we write none): restore it")
+                raise StoreError(f"{foreign} (it holds the {kind} {shortened(name)}, and we write none): restore it")
             if kind == "table" and str(sql).upper().startswith("CREATE VIRTUAL"):
-                raise StoreError(f"{foreign} (it holds the virtual table {name}, and we write none): restore it")
+                raise StoreError(
+                    f"{foreign} (it holds the virtual table {shortened(name)}, and we write none): restore it"
+                )
             if kind == "table":
                 quoted = str(name).replace('"', '""')
                 columns = self._run(f'PRAGMA table_xinfo("{quoted}")').fetchall()
                 if any(hidden for *_, hidden in columns):
-                    raise StoreError(f"{foreign} ({name} has columns that are computed, and we write none): restore it")
+                    raise StoreError(
+                        f"{foreign} ({shortened(name)} has columns that are computed, and we write none): restore it"
+                    )
         self._check_tables()
         self._schema = version
 
@@ -240,6 +245,12 @@ class Database:
                 if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT and not self._is_late():
                     raise KeyboardInterrupt from error
                 raise
+
+
+def shortened(value: object) -> str:
+    """A value that a stranger wrote, as a sentence may quote it."""
+    text = str(value)
+    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}..."
 
 
 @contextmanager
@@ -263,5 +274,5 @@ def explaining(path: Path) -> Iterator[None]:
         elif kind == sqlite3.SQLITE_INTERRUPT:
             text = f"{path} takes far too long to read, so it is damaged: {_WAYS_OUT}"
         else:
-            text = f"{path} is damaged ({error}): {_WAYS_OUT}"
+            text = f"{path} is damaged ({shortened(error)}): {_WAYS_OUT}"
         raise StoreError(text) from error

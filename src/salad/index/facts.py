@@ -14,11 +14,14 @@ from typing import Any, NamedTuple
 from salad.errors import PositionError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
+from salad.index.database import shortened
 
 COLUMNS = "row, path, lat, lon, heading, time, identity, source, removed, facts"
 """What `known_of_row` reads."""
 UNKNOWN = -1
 """In place of a checksum that was never written."""
+
+_LONGEST = 1 << 15  # letters of a path, the most that any system takes
 
 
 class Known(NamedTuple):
@@ -70,7 +73,7 @@ def known_of_row(row: Sequence[Any]) -> Known:
     """
     number, path, lat, lon, heading, time, identity, source, removed, noted = row
     name = path if isinstance(path, str) else os.fsdecode(path) if isinstance(path, bytes) else str(path)
-    told = Photo(Path(name))
+    told = Photo(Path(name[:_LONGEST]))
     content = identity if isinstance(identity, str) else ""
     if noted != UNKNOWN and noted != _expected(row):
         return Known(number, told, content, None, _sentence(name, "record"))
@@ -83,7 +86,7 @@ def known_of_row(row: Sequence[Any]) -> Known:
             taken = datetime.fromisoformat(time)
     turned = heading if isinstance(heading, float) and 0 <= heading <= 360 else None
     wrong = {
-        "path": not isinstance(path, str) or "\0" in path,
+        "path": not isinstance(path, str) or "\0" in path or len(path) > _LONGEST,
         "position": (lat, lon) != (None, None) and where is None,
         "heading": heading is not None and turned is None,
         "time": time is not None and taken is None,
@@ -102,4 +105,4 @@ def _expected(row: Sequence[Any]) -> int | None:
 
 
 def _sentence(name: str, what: str) -> str:
-    return f"the {what} of {name} in the table is damaged: remove the photo and index it again"
+    return f"the {what} of {shortened(name)} in the table is damaged: remove the photo and index it again"

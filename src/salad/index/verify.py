@@ -92,7 +92,8 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
         version = FORMAT_VERSION if catalog.is_todays() else header.format_version
         codes = next(iter(CodeTable(catalog).sets(matrix=last.matrix)), None)
         ((photos, with_heading, with_time, earliest, latest),) = catalog.select(
-            "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time), MAX(time) FROM photos WHERE removed = 0"
+            "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time) FILTER (WHERE typeof(time) = 'text'), "
+            "MAX(time) FILTER (WHERE typeof(time) = 'text') FROM photos WHERE removed = 0"
         )
     around = box(positions)
     return IndexInfo(
