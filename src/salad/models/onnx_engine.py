@@ -76,7 +76,7 @@ class OnnxEngine:
 
         onnxruntime.disable_telemetry_events()  # there are none but on Windows, and none of ours anywhere
         options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3  # errors alone: they are told as ours below
+        options.log_severity_level = 4  # not even errors, in colours on stderr: they are told as ours below
         options.intra_op_num_threads = threads
         # A thread that spins while it waits takes the core from the worker that reads the next photo.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -87,7 +87,8 @@ class OnnxEngine:
             options.add_external_initializers_from_files_in_memory([weights.name], [held], [len(held)])
         provider = _provider(self._device, onnxruntime.get_available_providers())
         try:
-            session = onnxruntime.InferenceSession(self.graph, options, providers=[provider])
+            # Where a graph fails, the runtime would say so on stdout, where results go, and try it once more.
+            session = onnxruntime.InferenceSession(self.graph, options, providers=[provider], enable_fallback=0)
         except Exception as error:  # the runtime's errors have no common ancestor
             raise WeightsError(f"{self.graph} cannot be run: {str(error).splitlines()[0]}") from error
         made_of = session.get_modelmeta().custom_metadata_map.get(SETTINGS, "null")
