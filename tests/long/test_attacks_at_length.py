@@ -14,7 +14,7 @@ from attack.answers import PHOTOS, an_arena, set_up, trouble
 from attack.arena import Arena
 from attack.attacks import Attack
 from attack.outside import Scene, differences, seen
-from attack.test_attacks import ALL, WHY
+from attack.test_attacks import ALL
 from attack.test_flat import stays_flat, watched
 from salad.index.index import Index
 
@@ -32,8 +32,6 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Arena, Sce
 
 @pytest.mark.parametrize("attack", ALL, ids=lambda attack: attack.name[:80].encode("ascii", "replace").decode())
 def test_an_attack_is_answered_by_all_commands(attack: Attack, stage: tuple[Arena, Scene]) -> None:
-    if attack.name in WHY:
-        pytest.xfail(WHY[attack.name])
     arena, scene = stage
     wrong = trouble(attack, scene, arena)
     assert not wrong, "\n".join(wrong)

@@ -94,7 +94,8 @@ class CodeTable:
     def plan(self) -> int | None:
         """Bytes of a code that were asked for; 0 for no codes, None where nobody has said."""
         found = self.catalog.select("SELECT bytes FROM code_plan") if self._is_there() else []
-        return int(found[0][0]) if found else None
+        sizes = [size for (size,) in found if isinstance(size, int) and 0 <= size <= _MOST_BYTES]
+        return sizes[0] if sizes else None
 
     def set_plan(self, size: int) -> None:
         """Note how many bytes of a code are asked for; 0 for no codes."""

@@ -32,6 +32,7 @@ OUTGROWN = 2
 By then half of it was never seen by the fit. And since an index must double, all the fitting that ever is done takes no
 more than twice the time of the last one."""
 
+_TRIES = 10  # compactions may come between, each of which is one for nothing
 _STAGE = 16384  # rows coded before they are written down
 _STEP = 1 << 24  # numbers of descriptors in memory at once
 
@@ -78,7 +79,7 @@ def compress(
         table.set_plan(size)
         _cut_back(table, catalog.committed().matrix, dim)
         _commit(catalog)
-    fitted, written = False, 0
+    fitted, written = 0, 0
     while True:
         with catalog.reading():
             seen = look()
@@ -92,15 +93,17 @@ def compress(
                 f"were made: restore it, or run 'salad compact {table.folder}'"
             )
         if fit is None or coding is None:
+            if fitted == _TRIES:
+                raise StoreError(f"{catalog.path} does not keep what is written of codes: restore it")
             _begin(catalog, table, seen, size)
-            fitted = True
+            fitted += 1
             continue
         if progress is not None:
             progress(fit.rows, rows.rows)
         if fit.rows < rows.rows:
             written += _go_on(catalog, table, seen, fit, coding)
         elif _finish(catalog, table, fit):
-            return Compressed(fit.size, fit.rows, fitted, written)
+            return Compressed(fit.size, fit.rows, fitted > 0, written)
 
 
 def is_due(catalog: Catalog, look: Look, *, dim: int) -> bool:

@@ -188,7 +188,11 @@ class Database:
                 raise StoreError(f"{foreign} ({beside[ending]} is not ours): delete that file if you trust the rest")
         try:
             with open_file(beside["-journal"], follow=False) as journal:
-                length = os.fstat(journal.fileno()).st_size
+                length, names = os.fstat(journal.fileno()).st_size, os.fstat(journal.fileno()).st_nlink
+                if names > 1:  # SQLite would write its own into it
+                    raise StoreError(
+                        f"{foreign} ({beside['-journal']} is a hard link): delete it if you trust the rest"
+                    )
                 journal.seek(max(0, length - len(_JOURNAL_MAGIC)))
                 # So ends a journal that names a super-journal, which SQLite would delete; ours names none.
                 if length >= 16 and journal.read(len(_JOURNAL_MAGIC)) == _JOURNAL_MAGIC:

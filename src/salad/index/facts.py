@@ -73,7 +73,7 @@ def known_of_row(row: Sequence[Any]) -> Known:
     """
     number, path, lat, lon, heading, time, identity, source, removed, noted = row
     name = path if isinstance(path, str) else os.fsdecode(path) if isinstance(path, bytes) else str(path)
-    told = Photo(Path(name[:_LONGEST]))
+    told = Photo(Path(name if len(name) <= _LONGEST else shortened(name)))
     content = identity if isinstance(identity, str) else ""
     if noted != UNKNOWN and noted != _expected(row):
         return Known(number, told, content, None, _sentence(name, "record"))
