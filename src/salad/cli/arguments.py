@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
     from salad.models.describer import DescriberLike
 
 
+_MOST = 1_000_000_000  # photos, steps, pixels: nobody means more, and some libraries take no more
+_MOST_THREADS = 1000
+_MOST_SEED = 2**63 - 1  # what every generator takes
 SHIPPED = "salad-lite"  # the model in the package, which needs no download
 
 Photos = Annotated[
@@ -63,13 +68,32 @@ def positive(number: int, what: str) -> int:
 
 
 def check_threads(threads: int | None) -> None:
-    """Refuse a number of threads below one.
+    """Refuse a number of threads below one, or that no machine has processors for.
 
     Raises:
-        SaladError: If it is 0 or less.
+        SaladError: If it is 0 or less, or too large.
     """
-    if threads is not None:
-        positive(threads, "--threads")
+    if threads is not None and positive(threads, "--threads") > _MOST_THREADS:
+        raise SaladError(f"--threads {threads} is too many: give at most {_MOST_THREADS:,}")
+
+
+def check_numbers(command: object) -> None:
+    """Refuse numbers that nothing can be reckoned with, whichever option of a command they stand in.
+
+    Raises:
+        SaladError: If one is not finite, is too large to be meant, or is a seed below 0.
+    """
+    for each in fields(command):  # type: ignore[arg-type]  # every command is a dataclass, made as the parser ran
+        value, option = getattr(command, each.name), f"--{each.name.strip('_').replace('_', '-')}"
+        if is_dataclass(value):
+            check_numbers(value)
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise SaladError(f"{option} {value} is no number to reckon with: give a finite one")
+        elif isinstance(value, int) and each.name.endswith("seed"):
+            if not 0 <= value <= _MOST_SEED:
+                raise SaladError(f"{option} {value} is no seed: give one from 0 to {_MOST_SEED}")
+        elif isinstance(value, int) and abs(value) > _MOST:
+            raise SaladError(f"{option} {value} is too {'large' if value > 0 else 'small'}: give at most {_MOST:,}")
 
 
 # What follows imports as it runs: `salad --help` reads the types above, and is to be there at once.

@@ -69,6 +69,8 @@ def run(arguments: Sequence[str]) -> int:
             terminal.say(f"salad: {terminal.of_file(error)}")
         elif isinstance(error, MemoryError) and not stop:
             terminal.say("salad: this takes more memory than there is: ask for less at a time, or of smaller photos")
+        elif isinstance(error, RecursionError) and not stop:
+            terminal.say("salad: a folder or a file is nested too deeply for this: move it further up")
         elif not stop:
             raise
         if stop is None:
@@ -91,6 +93,9 @@ def _obeyed(arguments: Sequence[str]) -> int:
             command = parsed(arguments)
     except SystemExit as left:  # behind help, and behind what makes no sense
         return left.code if isinstance(left.code, int) else terminal.FOUND
+    from salad.cli.arguments import check_numbers  # it loads the parser, which `--version` has no need of
+
+    check_numbers(command)
     code: int = command.run()
     return code
 

@@ -100,23 +100,39 @@ def photos_in(folder: Path) -> list[Path]:
         PhotoError: If a folder cannot be read, or there is no photo.
     """
     photos: list[Path] = []
-    seen: set[str] = set()
-
-    def refuse(error: OSError) -> None:
-        raise PhotoError(f"the folder {error.filename} cannot be read ({error.strerror}): leave it out") from error
-
-    for here, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
-        real = os.path.realpath(here)  # a folder may be reached by several links, also from within itself
-        fresh = real not in seen
-        seen.add(real)
-        folders[:] = sorted(name for name in folders if fresh and not name.startswith("."))
-        if fresh:
-            # Names as plain texts: a Path for each of a million files would take longer than the walk.
-            named = [name for name in files if not name.startswith(".")]
-            photos += [Path(here, name) for name in named if name[name.rfind(".") :].lower() in SUFFIXES]
+    seen: set[tuple[int, int]] = set()
+    waiting = [os.fspath(folder)]  # as os.walk goes, which on Python 3.11 calls itself for each folder further down
+    while waiting:
+        here = waiting.pop()
+        folders = []
+        try:
+            known = os.stat(here)  # noqa: PTH116  # plain texts, as below
+            if (known.st_dev, known.st_ino) in seen:  # reached by several links, perhaps from within itself
+                continue
+            seen.add((known.st_dev, known.st_ino))
+            with os.scandir(here) as entries:
+                for entry in entries:
+                    name = entry.name
+                    if name.startswith("."):
+                        continue
+                    if _is_folder(entry):
+                        folders.append(name)
+                    # Names as plain texts: a Path for each of a million files would take longer than the walk.
+                    elif name[name.rfind(".") :].lower() in SUFFIXES:
+                        photos.append(Path(here, name))
+        except OSError as error:
+            raise PhotoError(f"the folder {here} cannot be read ({error.strerror}): leave it out") from error
+        waiting += [os.path.join(here, name) for name in sorted(folders, reverse=True)]  # noqa: PTH118
     if not photos:
         raise PhotoError(f"the folder {folder} holds no photos: none of its files ends in .jpg, .png or the like")
     return sorted(photos)
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # a link to itself
+        return False
 
 
 # --- what is known -------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
     Raises:
         StoreError: If the folder is in use or cannot be written.
     """
-    draft = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
+    draft = folder.parent / f".{folder.name}.{uuid.uuid4().hex}"
     held: list[int] = []  # closed, and so unlocked, when this ends, however it does
     try:
         if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
