@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -155,6 +156,8 @@ def serve() -> None:
     while line := asked.readline():
         job = json.loads(line)
         began, told = time.monotonic(), job["told"]
+        for ending in (".out", ".err"):
+            Path(told + ending).write_bytes(b"")  # it may be killed before it opens them
         child = os.fork()
         if not child:
             enter(job)
@@ -186,7 +189,9 @@ def watched(child: int, job: dict[str, Any]) -> tuple[int, int, bool]:
         os.close(handle)
     # All that it started too: after its end nothing of it may run on.
     if killed:
-        os.killpg(child, signal.SIGKILL)
+        os.kill(child, signal.SIGKILL)  # by itself: it may not have come so far as to have a group
+        with suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
     _, code, used = os.wait4(child, 0)
     return code, used.ru_maxrss << 10, killed
 
