@@ -150,7 +150,7 @@ def test_a_dry_run_tells_and_writes_nothing(
         (["--places", "1"], "places of the recipe is 1"),
         (["--steps", "0"], "0 steps teach nothing"),
         (["--steps", "5", "--head-steps", "2"], "--steps counts both stages"),
-        (["--head-rate", "nan"], "head_rate of the recipe is nan"),
+        (["--head-rate", "nan"], "--head-rate nan is no number to reckon with"),
         (["--held-out", "1.5"], "held_out of the recipe is 1.5"),
         (["--devices", "0"], "devices 0 is too few"),
         (["--nodes", "-1"], "nodes -1 is too few"),
