@@ -222,7 +222,7 @@ def main() -> None:
         with suppress(EOFError, BrokenPipeError):
             send(READY, replies)
             while True:
-                folder, *request = pickle.load(sys.stdin.buffer)
+                folder, *request = pickle.load(sys.stdin.buffer)  # nosec B301  # from the process that started this one
                 with suppress(OSError):  # one that is gone holds no photo either, as is said of the photo
                     os.chdir(folder)
                 LIMITS.start()

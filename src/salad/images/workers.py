@@ -331,7 +331,7 @@ class _Process:
         begun = time.monotonic()
         try:
             send((os.curdir if path.is_absolute() else _here(), *asked), process.stdin)
-            return pickle.load(process.stdout)
+            return pickle.load(process.stdout)  # nosec B301  # from a process that runs as who runs this one
         except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
             failed = self._failed(process, path, time.monotonic() - begun)
             if stopped():
@@ -414,7 +414,7 @@ def _here() -> str:
 
 def _says_ready(process: Popen) -> bool:
     try:
-        return process.stdout is not None and pickle.load(process.stdout) == READY
+        return process.stdout is not None and pickle.load(process.stdout) == READY  # nosec B301  # as below
     except (OSError, ValueError, EOFError, pickle.UnpicklingError):
         return False
 
