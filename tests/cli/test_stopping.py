@@ -53,11 +53,13 @@ main()
 # A callback that can raise nothing: what comes of an exception there, Python says itself and goes on.
 IN_A_CALLBACK = """
 import os, time
+from dataclasses import dataclass
 from salad.cli import main as commands
 class Callback:
     def __del__(self):
         os.kill(os.getpid(), {number})
         time.sleep(0)
+@dataclass
 class Command:
     def run(self):
         Callback()
