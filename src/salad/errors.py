@@ -84,6 +84,11 @@ class MissingExtraError(SaladError):
         return type(self), self._made_of  # else no other process could make it again of its sentence
 
 
+def reason(error: BaseException) -> str:
+    """Why something went wrong, for the middle of a sentence: what the system says without its number for it."""
+    return (isinstance(error, OSError) and error.strerror) or str(error)
+
+
 @contextmanager
 def needs_extra(what: str, extra: str) -> Iterator[None]:
     """Import an optional dependency, or what leans on one, in the block of this.

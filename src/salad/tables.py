@@ -20,7 +20,7 @@ from importlib import import_module
 from pathlib import Path, PurePath
 from typing import Any, TextIO
 
-from salad.errors import needs_extra
+from salad.errors import needs_extra, reason
 from salad.files import open_file
 
 Header = Callable[[list[str]], Sequence[str]]
@@ -184,7 +184,9 @@ def read_parquet(
         except OSError as error:
             if error.errno is not None:
                 raise
-            raise ValueError(f"it is no Parquet ({error})") from error  # pyarrow's own word for bytes it cannot read
+            raise ValueError(
+                f"it is no Parquet ({reason(error)})"
+            ) from error  # pyarrow's own word for bytes it cannot read
         except (pyarrow.ArrowException, OverflowError) as error:
             raise ValueError(f"it is no Parquet ({error})") from error
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from salad.errors import ModelError
+from salad.errors import ModelError, reason
 from salad.files import read_json, write_whole
 from salad.training.recipe import with_defaults
 
@@ -92,7 +92,7 @@ def read_result(folder: Path) -> RunResult | None:
         if version == FORMAT and set(stored) == {field.name for field in fields(RunResult)}:
             return RunResult(**stored)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ModelError(f"{path} cannot be read ({error!r}): remove its folder to have it run again") from error
+        raise ModelError(f"{path} cannot be read ({reason(error)}): remove its folder to have it run again") from error
     raise ModelError(f"{path} was written by another version of salad: remove its folder to have it run again")
 
 

@@ -27,7 +27,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from salad.datasets.benchmark import Benchmark
-from salad.errors import BenchmarkError, ModelError, PhotoError
+from salad.errors import BenchmarkError, ModelError, PhotoError, reason
 from salad.files import write_whole
 from salad.images.decode import DECODER, Pixels
 from salad.images.photo import Photo
@@ -307,7 +307,7 @@ class _CacheFile:
             with safe_open(self.path, "numpy") as file:
                 rows: Float32[np.ndarray, "rows dim"] = file.get_slice("descriptors")[low:high]
         except (OSError, SafetensorError) as error:
-            raise BenchmarkError(f"{self.path} cannot be read any more ({error}): evaluate again") from error
+            raise BenchmarkError(f"{self.path} cannot be read any more ({reason(error)}): evaluate again") from error
         return rows
 
 

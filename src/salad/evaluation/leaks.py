@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
-from salad.errors import BenchmarkError, PhotoError
+from salad.errors import BenchmarkError, PhotoError, reason
 from salad.images.photo import Photo, content_hash
 from salad.images.workers import Workers
 
@@ -79,7 +79,9 @@ def find_leaks(
         ]
         return (*same, *same_pictures(queries, references, [pair for pair in pairs if pair not in found]))
     except (OSError, PhotoError) as error:
-        raise BenchmarkError(f"whether photos are in both sides cannot be told: {error}") from error
+        # A photo's own sentence names it; the system's reason does not.
+        named = f"{error.filename} cannot be read ({reason(error)})" if isinstance(error, OSError) else reason(error)
+        raise BenchmarkError(f"whether photos are in both sides cannot be told: {named}") from error
 
 
 def same_files(queries: Sequence[Photo], references: Sequence[Photo]) -> list[Leak]:

@@ -23,7 +23,7 @@ from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from salad.errors import PhotoError, PositionError
+from salad.errors import PhotoError, PositionError, reason
 from salad.files import write_whole
 from salad.geo import GeoPoint, Utm, from_utm, to_utm
 from salad.images.decode import in_memory, on_disk, open_image, quiet_pillow, to_rgb
@@ -228,7 +228,7 @@ def save_jpeg(
         rgb.save(buffer, "JPEG", quality=quality, exif=to_exif(Position(where, heading, time)))
         write_whole(path, buffer.getvalue())
     except OSError as error:
-        raise PhotoError(f"{path} cannot be written ({error}): check the folder and the size") from error
+        raise PhotoError(f"{path} cannot be written ({reason(error)}): check the folder and the size") from error
 
 
 def from_exif(exif: Image.Exif) -> Position:
@@ -353,7 +353,7 @@ def copy_with_position(photo: Path, copy: Path, where: GeoPoint, *, within_m: fl
     try:
         write_whole(copy, data)
     except OSError as error:
-        raise PhotoError(f"{copy} cannot be written ({error}): check the folder and the disk") from error
+        raise PhotoError(f"{copy} cannot be written ({reason(error)}): check the folder and the disk") from error
 
 
 def with_position(jpeg: bytes, where: GeoPoint, *, within_m: float | None = None) -> bytes:

@@ -22,7 +22,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from salad.errors import MissingExtraError, ModelError, PhotoError, WeightsError
+from salad.errors import MissingExtraError, ModelError, PhotoError, WeightsError, reason
 from salad.files import read_json, sha256_of
 from salad.models import hub
 from salad.models.describer import Describer, PhotoLike, squeezed
@@ -174,7 +174,7 @@ def write_folder(model: Weighted, folder: str | Path, *, dtype: str = "float32",
                 folder.rename(Path(scratch) / "old")
             draft.rename(folder)
     except (OSError, SafetensorError) as error:
-        raise WeightsError(f"the model cannot be written to {folder}: {error}") from error
+        raise WeightsError(f"the model cannot be written to {folder}: {reason(error)}") from error
     return folder
 
 
@@ -218,7 +218,7 @@ def add_graph(folder: str | Path, photos: Sequence[PhotoLike] = ()) -> Path:
         _rewrite_config(folder, config, {}, what="the graph")
         draft.replace(folder / GRAPH)
     except OSError as error:
-        raise WeightsError(f"the graph cannot be written to {folder}: {error}") from error
+        raise WeightsError(f"the graph cannot be written to {folder}: {reason(error)}") from error
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
@@ -244,7 +244,7 @@ def write_onnx(model: Describer, to: str | Path, photos: Sequence[PhotoLike] = (
     try:
         write_file(model.network, Path(to), _checked_on(photos, model.preprocessing), normalised=normalised)
     except OSError as error:
-        raise WeightsError(f"the model cannot be written to {to}: {error}") from error
+        raise WeightsError(f"the model cannot be written to {to}: {reason(error)}") from error
     return Path(to)
 
 
@@ -267,7 +267,7 @@ def _rewrite_config(folder: Path, config: ModelConfig, checksums: Checksums, *, 
     except OSError as error:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
-        raise WeightsError(f"{what} cannot be written to {folder}: {error}") from error
+        raise WeightsError(f"{what} cannot be written to {folder}: {reason(error)}") from error
 
 
 def _read_config(folder: Path) -> tuple[ModelConfig, Checksums]:
@@ -333,7 +333,7 @@ def _read_weights(file: Path) -> dict[str, np.ndarray]:
     except (KeyError, TypeError) as error:
         raise WeightsError(f"{file} holds numbers of a type that is not known here ({error})") from error
     except (SafetensorError, OSError) as error:
-        raise WeightsError(f"{file} is no safetensors file that can be read: {error}") from error
+        raise WeightsError(f"{file} is no safetensors file that can be read: {reason(error)}") from error
     # bfloat16 is torch's alone until some library teaches NumPy what it is, and then no fingerprint was made for it.
     if strange:
         raise WeightsError(f"{file} holds numbers of a type that is not known here ({strange.pop()})")

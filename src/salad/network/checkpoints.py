@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from salad.errors import ModelError, WeightsError
+from salad.errors import ModelError, WeightsError, reason
 from salad.files import open_file
 from salad.network.aggregator_config import AggregatorConfig, SaladConfig
 from salad.network.baseline_config import SceneConfig
@@ -88,7 +88,7 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
         try:
             return load_file(path)
         except (SafetensorError, OSError) as error:
-            raise WeightsError(f"{path} is no safetensors file that can be read: {error}") from error
+            raise WeightsError(f"{path} is no safetensors file that can be read: {reason(error)}") from error
     try:
         raw: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a foreign pickle may fail in any way; none may run code

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from salad.datasets.training_place import TrainingPlace
-from salad.errors import ModelError, TrainingError
+from salad.errors import ModelError, TrainingError, reason
 from salad.files import parse_json, read_json, write_whole
 from salad.network.config import ModelConfig
 from salad.network.network import Network
@@ -243,7 +243,7 @@ def save_checkpoint(folder: Path, state: Mapping[str, Any]) -> None:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
         raise TrainingError(
-            f"the checkpoint of step {state['step']} cannot be written to {folder}: {error}; the one before "
+            f"the checkpoint of step {state['step']} cannot be written to {folder}: {reason(error)}; the one before "
             "stays, so make room and run the same command again"
         ) from error
 

@@ -30,7 +30,7 @@ from salad.demo.town.camera import Shot
 from salad.demo.town.plan import TownPlan, plan_town
 from salad.demo.town.scene import Studio
 from salad.demo.town.visits import ORIGIN, position_of, take_queries, take_references, time_of
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, reason
 from salad.files import write_whole
 from salad.geo import GeoPoint, shifted
 from salad.images.metadata import save_jpeg
@@ -210,7 +210,7 @@ def _clear(folder: Path) -> None:
             shutil.rmtree(folder / part, ignore_errors=True)
             (folder / part).mkdir()
     except OSError as error:
-        raise BenchmarkError(f"no town can be drawn into {folder} ({error}): choose another folder") from error
+        raise BenchmarkError(f"no town can be drawn into {folder} ({reason(error)}): choose another folder") from error
 
 
 def _described(plan: TownPlan, shots: list[Shot]) -> dict[str, Any]:
@@ -240,7 +240,9 @@ def _read_json(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads((folder / "town.json").read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BenchmarkError(f"{folder} holds no finished town ({error}): draw one there with draw_town") from error
+        raise BenchmarkError(
+            f"{folder} holds no finished town ({reason(error)}): draw one there with draw_town"
+        ) from error
     if not isinstance(content, dict) or content.get("version") != VERSION:
         raise BenchmarkError(f"{folder}/town.json is not of version {VERSION}: draw the town again with draw_town")
     return content
