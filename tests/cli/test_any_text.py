@@ -30,7 +30,7 @@ ANY = st.sampled_from(NUMBERS + TEXTS) | st.text(
     st.characters(exclude_characters="\0/", exclude_categories=["Cs"]), max_size=30
 )
 
-LINES = {  # what a command needs to get as far as it can without an hour's work; no export-model, as the fake has no weights
+LINES = {  # to get as far as a command can without an hour's work; not export-model: the fake has no weights
     "index": ["index", "QUERY", "--to", "new.index"],
     "locate": ["locate", "QUERY", "--index", "CITY"],
     "remove": ["remove", "QUERY", "--index", "CITY"],
