@@ -36,7 +36,7 @@ from benchmarks.speed.startup import salad as command
 from salad.geo import GeoPoint
 from salad.images.metadata import save_jpeg
 from salad.images.photo import photos_in
-from salad.images.workers import read
+from salad.images.worker_process import read
 from salad.processors import processors
 
 SEED, DISTINCT, NOISE = 7, 20, 3.0

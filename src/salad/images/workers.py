@@ -40,6 +40,7 @@ EACH = 16
 """Photos for which one process more is worth its start."""
 
 _LARGEST = 2 << 30  # bytes that the largest photo takes while it is decoded
+_ANSWER = 1 << 20  # bytes that a pipe holds: pixels go through in one piece, not in five with a change of process each
 _AGAIN = 60.0  # seconds after which it is tried again whether a process can be started
 _STARTER = "from salad.images.worker_process import main; main()"
 _SETTINGS = {
@@ -368,7 +369,7 @@ class _Process:
         # The folders we import from, which a script may have added to.
         folders = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)  # noqa: PTH100  # texts
         try:
-            return subprocess.Popen(
+            process = subprocess.Popen(
                 [sys.executable, "-P", "-c", self._starter],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -378,6 +379,12 @@ class _Process:
             )
         except (OSError, ValueError):
             return None
+        with suppress(ImportError, AttributeError, OSError):  # Linux's; and a user may have only so many of them
+            import fcntl
+
+            assert process.stdout is not None
+            fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, _ANSWER)
+        return process
 
     def _failed(self, process: Popen, path: Path, seconds: float) -> Exception:
         """What to say of a process whose answer did not come in so many seconds."""
