@@ -33,6 +33,7 @@ from benchmarks.paper.rows import FULL, Row, check_given, rows, unlike
 from benchmarks.paper.sets import find_set
 from salad.cli import terminal
 from salad.cli.arguments import positive
+from salad.cli.stopping import INTERRUPTED
 from salad.datasets.benchmark import Benchmark
 from salad.datasets.protocols import read
 from salad.errors import BenchmarkError, SaladError
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None, *, load: Load | None = None) ->
         return terminal.BAD_INPUT
     except KeyboardInterrupt:
         terminal.say("reproduce-paper: interrupted; the same command goes on where it stopped")
-        return terminal.INTERRUPTED
+        return INTERRUPTED
 
 
 def _run(asked: argparse.Namespace, load: Load) -> int:
