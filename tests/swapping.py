@@ -27,7 +27,7 @@ STEPS: list[tuple[Any, str]] = [
     (worker_process, "in_memory"),
     (worker_process, "read_photo"),
     (worker_process, "content_hash"),
-    (worker_process, "decoded"),
+    (worker_process, "small"),
     (Workers, "read"),
     (Index, "taken"),
     (Index, "find"),

@@ -2,6 +2,8 @@
 
 Distances are great circles on a sphere of the mean radius. Against the true ellipsoid they are at most
 0.56 % off (14 cm in 25 m), which no photo's position is good enough to notice.
+
+numpy is brought in by what needs it, not before: it is half of what a process takes to start that reads photos.
 """
 
 from __future__ import annotations
@@ -9,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-
-import numpy as np
-import utm  # type: ignore[import-untyped]  # it ships no types
-from numpy.typing import ArrayLike, NDArray
-from utm.error import OutOfRangeError  # type: ignore[import-untyped]  # the same
+from typing import TYPE_CHECKING
 
 from salad.errors import PositionError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of the earth in metres (IUGG, R1)."""
@@ -51,12 +53,16 @@ class Utm:
 
 def in_degrees(points: Iterable[GeoPoint | None]) -> NDArray[np.float64]:
     """Latitudes and longitudes, `[N, 2]` degrees; NaN where a point is not known."""
+    import numpy as np
+
     pairs = [(math.nan, math.nan) if point is None else (point.lat, point.lon) for point in points]
     return np.array(pairs, dtype=np.float64).reshape(-1, 2)
 
 
 def on_unit_sphere(lat_lon: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points of `[N, 2]` degrees in space, `[3, N]` with a length of 1 each."""
+    import numpy as np
+
     lat, lon = np.radians(lat_lon).T
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
@@ -71,6 +77,8 @@ def metres(lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike) -
 
     The haversine formula (Sinnott 1984), which keeps its precision for points a few metres apart.
     """
+    import numpy as np
+
     north1, east1, north2, east2 = (np.radians(np.asarray(v, dtype=np.float64)) for v in (lat1, lon1, lat2, lon2))
     half_north, half_east = (north2 - north1) / 2, (east2 - east1) / 2
     chord = np.sin(half_north) ** 2 + np.cos(north1) * np.cos(north2) * np.sin(half_east) ** 2
@@ -80,6 +88,8 @@ def metres(lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike) -
 
 def turn_between(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:
     """Degrees between headings, element by element, the shorter way around: 0 to 180; NaN where one is unknown."""
+    import numpy as np
+
     apart = np.abs(np.asarray(ours, dtype=np.float64) - np.asarray(theirs, dtype=np.float64)) % 360
     shorter: NDArray[np.float64] = np.minimum(apart, 360 - apart)
     return shorter
@@ -106,9 +116,11 @@ def from_utm(utm_point: Utm) -> GeoPoint:
     Raises:
         PositionError: If the zone, the letter or the metres lie outside the grid.
     """
+    import utm  # type: ignore[import-untyped]  # it ships no types
+
     try:
         lat, lon = utm.to_latlon(utm_point.easting, utm_point.northing, utm_point.zone, utm_point.letter)
-    except (OutOfRangeError, ValueError) as error:
+    except (utm.OutOfRangeError, ValueError) as error:
         raise PositionError(f"{utm_point} is not on the UTM grid: {error}") from error
     return GeoPoint(float(lat), float(lon))
 
@@ -119,9 +131,11 @@ def to_utm(point: GeoPoint) -> Utm:
     Raises:
         PositionError: If it lies beyond 84 degrees north or 80 degrees south, where UTM ends.
     """
+    import utm  # it ships no types
+
     try:
         easting, northing, zone, letter = utm.from_latlon(point.lat, point.lon)
-    except OutOfRangeError as error:
+    except utm.OutOfRangeError as error:
         raise PositionError(f"{point} has no UTM coordinate: {error}") from error
     # A hair south of the equator counts as north of it there, with a northing just below 0.
     return Utm(float(easting), max(float(northing), 0.0), int(zone), str(letter))
@@ -176,6 +190,8 @@ def spread(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -
 
 def _normalised(points: Sequence[GeoPoint], weights: Sequence[float] | None) -> NDArray[np.float64]:
     """Weights that sum to one, `[len(points)]`."""
+    import numpy as np
+
     if not points:
         raise PositionError("no points are given, so there is no centre: give at least one")
     given = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)

@@ -20,10 +20,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
 from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from salad.errors import MissingExtraError, ModelError, PhotoError
@@ -46,7 +44,23 @@ MAX_SIDE = 1_000_000
 MAX_SCANS = 100
 """Passes over a progressive JPEG that are decoded: each costs time for every pixel, and a dozen is usual."""
 
-Pixels = NDArray[np.uint8]
+# numpy is brought in by what needs it: it is half of what a process takes to start that reads photos.
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Pixels = NDArray[np.uint8]
+
+
+def __getattr__(name: str) -> Any:
+    """`Pixels`, for those who import it when numpy is there."""
+    if name != "Pixels":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import numpy as np
+    from numpy.typing import NDArray
+
+    return NDArray[np.uint8]
+
 
 _FORMATS = ("JPEG", "MPO", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "JPEG2000", "AVIF")
 _PLUGINS = {"WEBP": "WebP", "JPEG2000": "Jpeg2K"}  # modules of Pillow that are not called after their format
@@ -103,7 +117,25 @@ def decode(
         PhotoError: If the file is missing, empty, truncated, not an image or has over `MAX_PIXELS` pixels.
         ModelError: If there is no such size or resampling.
     """
-    return squeeze(_load(path, file, at_least=(height, width), grant=grant), height, width, resample)
+    return as_pixels(small(path, height, width, resample, file=file, grant=grant))
+
+
+def small(
+    path: Path,
+    height: int,
+    width: int,
+    resample: str = "bilinear",
+    *,
+    file: IO[bytes] | None = None,
+    grant: Callable[[float], None] | None = None,
+) -> Image.Image:
+    """As `decode`, before its pixels are an array.
+
+    Raises:
+        PhotoError: As `decode`.
+        ModelError: As `decode`.
+    """
+    return _squeezed(_load(path, file, at_least=(height, width), grant=grant), height, width, resample)
 
 
 def open_rgb(
@@ -182,12 +214,25 @@ def squeeze(image: Image.Image, height: int, width: int, resample: str = "biline
     Raises:
         ModelError: If there is no such size or resampling.
     """
+    return as_pixels(_squeezed(image, height, width, resample))
+
+
+def _squeezed(image: Image.Image, height: int, width: int, resample: str) -> Image.Image:
     if resample not in _RESAMPLINGS or height < 1 or width < 1:
         raise ModelError(
             f"a photo cannot be squeezed to {height} x {width} by {resample!r}: "
             f"give sides of at least 1 pixel and one of {', '.join(_RESAMPLINGS)}"
         )
-    return np.array(to_rgb(image).resize((width, height), _RESAMPLINGS[resample]), dtype=np.uint8)
+    made = to_rgb(image).resize((width, height), _RESAMPLINGS[resample])
+    made.info = {}  # neither EXIF nor profile is true of it any more
+    return made
+
+
+def as_pixels(image: Image.Image) -> Pixels:
+    """The bytes of an image: uint8 `[height, width, 3]`."""
+    import numpy as np
+
+    return np.array(image, dtype=np.uint8)
 
 
 # --- opening: which formats, how large, and a sentence for whatever goes wrong -------------
@@ -367,6 +412,8 @@ def to_rgb(image: Image.Image) -> Image.Image:
         return image
     deep = image.mode == "F" or image.mode.startswith("I")  # grey of 16 or 32 bits or of real numbers
     if deep:
+        import numpy as np
+
         brightest = max(float(_values(image.crop(band)).max()) for band in _bands(image.size))
         # Real numbers say nowhere what white is: the smallest of the usual ranges that holds them all.
         ranges = (1.0, 255.0, 65535.0) if image.mode == "F" else (65535.0,)
@@ -404,4 +451,6 @@ def _over_white(image: Image.Image) -> Image.Image:
 
 
 def _values(image: Image.Image) -> NDArray[np.float64]:
+    import numpy as np
+
     return np.nan_to_num(np.asarray(image, dtype=np.float64), posinf=0.0, neginf=0.0)

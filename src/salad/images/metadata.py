@@ -15,10 +15,8 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
 from PIL.TiffImagePlugin import IFDRational
@@ -27,6 +25,9 @@ from salad.errors import PhotoError, PositionError, reason
 from salad.files import write_whole
 from salad.geo import GeoPoint, Utm, from_utm, to_utm
 from salad.images.decode import in_memory, on_disk, open_image, quiet_pillow, to_rgb
+
+if TYPE_CHECKING:
+    from salad.images.decode import Pixels
 
 _NUMBER = re.compile(r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?")
 _SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
@@ -200,7 +201,7 @@ def read_exif(path: Path, *, file: IO[bytes] | None = None) -> Position:
 
 
 def save_jpeg(
-    image: Image.Image | NDArray[np.uint8],
+    image: Image.Image | Pixels,
     path: str | Path,
     *,
     where: GeoPoint | None = None,

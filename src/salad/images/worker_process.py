@@ -1,5 +1,7 @@
 """What a worker process runs: it reads photos for its parent, each within limits of time and of memory.
 
+It goes without numpy, which would be half of its start: pixels are images until they are with the parent.
+
 The process sets the limits itself, since only it knows how far a photo has come and how large its header says that it
 is; the parent's own timer stands behind them. A timer's signal and a refused allocation reach a decoder in the middle
 of C code, where nothing of Python runs.
@@ -16,16 +18,17 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 from PIL import Image
 
 from salad.errors import PhotoError, SaladError
-from salad.images.decode import Pixels, in_memory, naming, on_disk, open_rgb
-from salad.images.decode import decode as decoded
+from salad.images.decode import as_pixels, in_memory, naming, on_disk, open_rgb, small
 from salad.images.named import NamedPhoto
 from salad.images.photo import Photo, content_hash, read_photo
+
+if TYPE_CHECKING:
+    from salad.images.decode import Pixels
 
 READING = 60.0
 """Seconds that a file may take to come off its disk, which may be on the other side of a network."""
@@ -53,14 +56,19 @@ class PhotoRead(NamedTuple):
     Attributes:
         photo: The photo as its name and EXIF tell it.
         content_hash: Which photo it is.
-        pixels: uint8 `[height, width, 3]`; None where no size was asked for, and where they cannot be decoded.
-        trouble: Why they cannot be decoded: a sentence, empty where they can.
+        image: RGB of the size that was asked for; None where none was, and where it cannot be decoded.
+        trouble: Why it cannot be decoded: a sentence, empty where it can.
     """
 
     photo: Photo
     content_hash: str
-    pixels: Pixels | None = None
+    image: Image.Image | None = None
     trouble: str = ""
+
+    @property
+    def pixels(self) -> Pixels | None:
+        """The image as bytes, uint8 `[height, width, 3]`."""
+        return None if self.image is None else as_pixels(self.image)
 
 
 def read(path: Path, size: Size | None = None) -> PhotoRead:
@@ -78,22 +86,22 @@ def read(path: Path, size: Size | None = None) -> PhotoRead:
     if size is None:
         return known
     try:
-        return known._replace(pixels=decoded(path, *size, file=file, grant=LIMITS.grant))
+        return known._replace(image=small(path, *size, file=file, grant=LIMITS.grant))
     except PhotoError as error:  # an index may hold it all the same, described where it could be decoded
         return known._replace(trouble=str(error))
 
 
-def decode(photo: Source, height: int, width: int, resample: str) -> Pixels:
-    """As `salad.images.decode.decode`.
+def decode(photo: Source, height: int, width: int, resample: str) -> Image.Image:
+    """As `salad.images.decode.decode`, but for the array that its caller makes of it.
 
     Raises:
         PhotoError: If the photo cannot be read.
     """
-    return decoded(_path(photo), height, width, resample, file=_taken(photo), grant=LIMITS.grant)
+    return small(_path(photo), height, width, resample, file=_taken(photo), grant=LIMITS.grant)
 
 
-def show(photo: Source, side: int) -> Pixels:
-    """A photo for people, whose longer side has `side` pixels at most: uint8 `[height, width, 3]`.
+def show(photo: Source, side: int) -> Image.Image:
+    """A photo for people, whose longer side has `side` pixels at most.
 
     Raises:
         PhotoError: If the photo cannot be read.
@@ -101,7 +109,7 @@ def show(photo: Source, side: int) -> Pixels:
     shown = open_rgb(_path(photo), file=_taken(photo), grant=LIMITS.grant)
     with naming(_path(photo)):
         shown.thumbnail((side, side), Image.Resampling.LANCZOS)  # never enlarged
-        return np.asarray(shown)
+        return shown
 
 
 def look(path: Path) -> Photo:

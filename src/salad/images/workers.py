@@ -29,7 +29,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from salad.errors import PhotoError, SaladError
-from salad.images.decode import Pixels
+from salad.images.decode import Pixels, as_pixels
 from salad.images.photo import Photo
 from salad.images.worker_process import READY, PhotoRead, Size, Source, answer, send
 from salad.processors import processors
@@ -99,8 +99,7 @@ class Workers:
         Raises:
             PhotoError: If the photo cannot be read, crashed two processes or took too long.
         """
-        pixels: Pixels = self.ask("decode", photo, height, width, resample)
-        return pixels
+        return as_pixels(self.ask("decode", photo, height, width, resample))
 
     def show(self, photo: Source, side: int) -> Pixels:
         """A photo for people, `[height, width, 3]`, whose longer side has `side` pixels at most.
@@ -108,8 +107,7 @@ class Workers:
         Raises:
             PhotoError: If the photo cannot be read, crashed two processes or took too long.
         """
-        pixels: Pixels = self.ask("show", photo, side)
-        return pixels
+        return as_pixels(self.ask("show", photo, side))
 
     def look(self, path: Path) -> Photo:
         """What a photo's name and EXIF say; only the head of its file is read.
