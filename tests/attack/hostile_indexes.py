@@ -133,7 +133,9 @@ def names_that_lead_elsewhere() -> Iterator[Attack]:
     """Every file of an index as a link, a pipe, a device or a folder; and as another name of a file outside."""
     for name in (HEADER, TABLE, ROWS, JOURNAL):
         for what, how in PLACES.items():
-            yield Attack(f"{name} is {what}", put(name, how), "refused", name, every=name in (JOURNAL, ROWS))
+            # Whoever adds to what has no header is told that a folder is in its way.
+            named = "city.index" if (name, what) == (HEADER, "a link to nothing") else name
+            yield Attack(f"{name} is {what}", put(name, how), "refused", named, every=name in (JOURNAL, ROWS))
     for what, how in PLACES.items():
         # Codes are of no need: without them searches are exact.
         yield Attack(f"codes are {what}", put("codes", how), "told", "codes-")
@@ -314,10 +316,10 @@ def _loosely(statement: str, value: object) -> Callable[[Scene], None]:
 
 
 def still_whole(scene: Scene) -> list[str]:
-    """Whether all photos are found in an index as they were, whatever was done."""
+    """Whether all photos are found in an index as they were, but for the one that a removal is asked to remove."""
     with Index.open(scene.given / "city.index") as index, Index.open(scene.index) as sound:
         now, before = ({identity for page in each.pages() for identity in page.identities} for each in (index, sound))
-        lost = [f"{len(before - now)} photos are lost"] if before - now else []
+        lost = [f"{len(before - now)} photos are lost"] if len(before - now) > 1 else []
         return lost + index.verify()
 
 

@@ -60,6 +60,7 @@ TEXTS: dict[str, bytes | Callable[[], bytes]] = {
     "a quote that is never closed": lambda: HEAD + b'"' + b"x,1,2\n" * 1_000_000,
     "a line without end": lambda: b"path,lat,lon" + b",x" * 10_000_000,
     "columns that come twice": b"path,lat,lon,lat\na,1,2,3\n",
+    "headings that come twice": b"path,lat,lon,heading,heading\na,1,2,3,4\n",
     "no columns": b"\n\n\n",
     "a name with a line break": b"\x1b[2J\npath\n",
     "ends of lines of old": b"path,lat,lon\ra.jpg,1,2\r" * 9,

@@ -221,6 +221,9 @@ class Result:
         )
         if len(result.per_query) != result.queries:
             raise ValueError(f"{result.queries} queries, {len(result.per_query)} verdicts")
+        # Every figure is shown with how sure it is.
+        if bare := result.recall.keys() - result.intervals.keys():
+            raise ValueError(f"R@{min(bare)} has no interval")
         # A report looks up every match: one without a name would end it halfway.
         missing = {row for one in result.per_query for row in one.matches} - result.known.keys()
         if missing:

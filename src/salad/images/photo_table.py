@@ -16,7 +16,7 @@ from salad.geo import GeoPoint
 from salad.images.metadata import Position
 from salad.tables import CsvError, number, read_csv, read_parquet, shown
 
-_NEEDED = ("path", "lat", "lon")
+_NEEDED, _MORE = ("path", "lat", "lon"), ("heading", "time")
 _COLUMNS = (*_NEEDED, "heading", "time")
 _LONGEST_PATH = 4096  # letters; no system opens longer ones
 _LONG_NAME = 40  # characters of a column's name that a sentence tells
@@ -175,7 +175,7 @@ def read_rows(path: Path) -> list[Row]:
 
 def _header(path: Path, names: list[str]) -> list[str]:
     header = [name.strip().lower() for name in names]
-    for needed in _NEEDED:
+    for needed in (*_NEEDED, *(name for name in _MORE if name in header)):
         if header.count(needed) != 1:
             # As they fit into a sentence: a table that is none may hold anything there.
             short = [name if len(name) <= _LONG_NAME else name[:_LONG_NAME] + "..." for name in header]

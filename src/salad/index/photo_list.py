@@ -103,6 +103,8 @@ def _header(names: list[str]) -> list[str]:
     if header.count("path") != 1:
         told = ", ".join(header[:20]) or "none"
         raise ValueError(f"it needs one column 'path', but has {told[:200]}")
+    if twice := [name for name in COLUMNS if header.count(name) > 1]:
+        raise ValueError(f"it has two columns {twice[0]!r}, of which nobody knows which is meant")
     return header
 
 

@@ -11,6 +11,7 @@ import dataclasses
 import math
 import os
 import re
+import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -90,7 +91,9 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
         except (SafetensorError, OSError) as error:
             raise WeightsError(f"{path} is no safetensors file that can be read: {reason(error)}") from error
     try:
-        raw: Any = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():  # torch's, of pickles that it would not have written
+            warnings.simplefilter("ignore")
+            raw: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a foreign pickle may fail in any way; none may run code
         raise WeightsError(f"{path} is no file of weights that can be read safely ({type(error).__name__})") from error
     # Lightning wraps the weights, beside optimizers and settings that are of no use here.

@@ -174,7 +174,8 @@ class Preprocessing:
         if max(map(abs, mean + std)) > 1e6 or min(std) < 1e-6:  # 0 or infinite as a network computes with it
             raise ValueError("mean and std are those of values in 0..1")
         found = cls(mean=mean, std=std, **plain)
-        if not all(isinstance(side, int) and 0 < side <= MOST_PIXELS for side in (found.height, found.width)):
+        # By their very type: JSON's true is an int to Python, and no size of an array.
+        if not all(type(side) is int and 0 < side <= MOST_PIXELS for side in (found.height, found.width)):
             raise ValueError(f"height and width are whole pixels, at least 1 and at most {MOST_PIXELS}")
         if found.resample not in get_args(Resample):
             raise ValueError(f"resample is one of {', '.join(get_args(Resample))}")
@@ -361,6 +362,9 @@ def check_sizes(config: ModelConfig) -> None:
         blocks = max(getattr(part, "depth", 1), getattr(part, "blocks", 1))
         if blocks > MOST_BLOCKS:
             raise ModelError(f"{blocks} blocks are more than any model has: {MOST_BLOCKS} at most")
+    for name in ("clusters", "cluster_dim"):  # torch would build what is empty, and warn of it
+        if getattr(config.aggregator, name, 1) == 0:
+            raise ModelError(f"{name} of the {config.aggregator.kind} aggregator is 0: give 1 or more")
     if not 1 <= config.aggregator.dim <= MOST_NUMBERS:
         raise ModelError(f"a descriptor of {config.aggregator.dim} numbers cannot be: 1 to {MOST_NUMBERS:,} can")
 
