@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
-from salad.errors import SaladError
+from salad.errors import SaladError, reason
 from salad.files import json_text
 
 FOUND, NOTHING, BAD_INPUT = 0, 1, 2  # 1 as grep has it
@@ -77,7 +77,7 @@ def of_file(error: OSError) -> str:
     """What the system would not do with a file, and what to do about it: a sentence."""
     names = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
     advice = _ADVICE.get(error.errno or 0, "check the name and permissions")
-    return f"{' or '.join(names) or 'a file'} cannot be read or written ({error.strerror or error}): {advice}"
+    return f"{' or '.join(names) or 'a file'} cannot be read or written ({reason(error)}): {advice}"
 
 
 def first_few(sentences: Sequence[str], *, what: str) -> list[str]:
@@ -118,8 +118,9 @@ def results() -> Iterator[None]:
         _let_go(sys.stdout)
         if isinstance(error, BrokenPipeError):
             raise
-        reason = error.strerror or error
-        raise SaladError(f"standard output cannot be written ({reason}): make room, or write it elsewhere") from error
+        raise SaladError(
+            f"standard output cannot be written ({reason(error)}): make room, or write it elsewhere"
+        ) from error
 
 
 def _let_go(stream: TextIO) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from salad.datasets.compact_lists import Ragged, headings
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, reason
 from salad.geo import turn_between
 from salad.images.photo import Photo
 from salad.tables import CsvError, read_csv
@@ -91,9 +91,8 @@ def read_truth(truth_csv: Path, references: PhotoNames, queries: PhotoNames) -> 
             names = (positive.strip() for positive in fields["positives"].split(";"))
             truth[row] = [references.row(name, at) for name in names if name]
     except (OSError, UnicodeDecodeError, CsvError) as error:
-        reason = getattr(error, "strerror", None) or error
         raise BenchmarkError(
-            f"the truth table {truth_csv} cannot be read ({reason}): give a CSV file in UTF-8"
+            f"the truth table {truth_csv} cannot be read ({reason(error)}): give a CSV file in UTF-8"
         ) from error
     return truth
 

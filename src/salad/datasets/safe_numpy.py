@@ -22,7 +22,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from jaxtyping import Float64, Int64, Shaped
 
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, reason
 from salad.files import open_file, read_file
 from salad.npy import read_head
 
@@ -367,8 +367,7 @@ def read_npz(path: Path) -> dict[str, Arrays]:
                     raise BenchmarkError(f"{path} unpacks to more than any ground truth does: fetch it again")
                 members = {info.filename: archive.read(info) for info in found}
     except _ZIP_FAULTS as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BenchmarkError(f"{path} is not a whole .npz file ({reason}): fetch it again") from error
+        raise BenchmarkError(f"{path} is not a whole .npz file ({reason(error)}): fetch it again") from error
     return {name.removesuffix(".npy"): parse_npy(data, f"{name} in {path}") for name, data in members.items()}
 
 

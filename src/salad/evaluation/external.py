@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from salad.datasets.benchmark import Benchmark
-from salad.errors import BenchmarkError, StoreError
+from salad.errors import BenchmarkError, StoreError, reason
 from salad.evaluation.result import Ranked, Result, below, folder_of, write_file
 from salad.images.photo import Photo
 from salad.index.vectors import FileRows
@@ -135,8 +135,7 @@ def read_rankings(benchmark: Benchmark, path: Path) -> tuple[Ranked, tuple[str, 
             else:
                 rankings[row] = _ranking(words[1:], references, at)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BenchmarkError(f"{path} cannot be read ({reason}): check the name") from error
+        raise BenchmarkError(f"{path} cannot be read ({reason(error)}): check the name") from error
     missing = [photo.path for row, photo in enumerate(benchmark.queries) if row not in rankings]
     if missing:
         raise BenchmarkError(

@@ -24,7 +24,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
-from salad.errors import MissingExtraError, ModelError, PhotoError
+from salad.errors import MissingExtraError, ModelError, PhotoError, reason
 from salad.files import open_file, read_file
 
 DECODER = 2
@@ -273,8 +273,7 @@ def existing(path: Path) -> Path:
     try:
         status = path.stat()
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise PhotoError(f"there is no photo at {path} ({reason}): check the name") from error
+        raise PhotoError(f"there is no photo at {path} ({reason(error)}): check the name") from error
     if stat.S_ISDIR(status.st_mode):
         raise PhotoError(f"{path} is a folder, not a photo: name a photo in it")
     if not stat.S_ISREG(status.st_mode):
@@ -303,8 +302,8 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def _damaged(path: Path, error: Exception) -> PhotoError:
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return PhotoError(f"{path} is damaged or cut short ({reason}): fetch it again or leave it out")
+    told = " ".join(str(error).split()) or type(error).__name__
+    return PhotoError(f"{path} is damaged or cut short ({told}): fetch it again or leave it out")
 
 
 def open_image(path: Path, file: IO[bytes]) -> Image.Image:

@@ -15,7 +15,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from salad.errors import PhotoError
+from salad.errors import PhotoError, reason
 from salad.files import read_file
 from salad.images.decode import LONGEST
 
@@ -83,8 +83,9 @@ class PhotoBelow:
                 raise PhotoError(f"{self.name} does not lie below {self.folder}, and is not opened")
             return read_file(full, most=LONGEST, follow=self.links)
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise PhotoError(f"{self.path} cannot be read ({reason}): check the folder that was given") from error
+            raise PhotoError(
+                f"{self.path} cannot be read ({reason(error)}): check the folder that was given"
+            ) from error
 
 
 NamedPhoto = HeldPhoto | PhotoBelow

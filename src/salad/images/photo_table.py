@@ -11,7 +11,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from salad.errors import PositionError
+from salad.errors import PositionError, reason
 from salad.geo import GeoPoint
 from salad.images.metadata import Position
 from salad.tables import CsvError, number, read_csv, read_parquet, shown
@@ -162,7 +162,7 @@ def read_rows(path: Path) -> list[Row]:
                 raise PositionError(f"{path}, line {line}: {error}; correct the row or leave it out") from error
     except OSError as error:
         raise PositionError(
-            f"the table {path} cannot be read ({error.strerror or error}): check the name and who may read it"
+            f"the table {path} cannot be read ({reason(error)}): check the name and who may read it"
         ) from error
     except UnicodeDecodeError as error:
         raise PositionError(f"the table {path} is not UTF-8 text ({error.reason}): save it as CSV in UTF-8") from error

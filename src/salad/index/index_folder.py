@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from salad.errors import StoreError
+from salad.errors import StoreError, reason
 from salad.files import create_file
 from salad.index.catalog import Catalog
 from salad.index.header import Header
@@ -60,8 +60,7 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
         draft.rename(folder)
     except OSError as error:
         raise StoreError(
-            f"no {what} can be made at {folder} ({error.strerror or error}): name another folder, make room, or "
-            "check permissions"
+            f"no {what} can be made at {folder} ({reason(error)}): name another folder, make room, or check permissions"
         ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)

@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from salad.errors import PositionError, StoreError
+from salad.errors import PositionError, StoreError, reason
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
 from salad.index.geojson import is_text, read_features, write_features
@@ -69,8 +69,7 @@ def read(path: Path) -> Iterator[tuple[Photo, str | None]]:
             yield _photo(record, path.parent)
             done += 1
     except OSError as error:
-        reason = error.strerror or error
-        raise StoreError(f"{path} cannot be read ({reason}): check the name and permissions") from error
+        raise StoreError(f"{path} cannot be read ({reason(error)}): check the name and permissions") from error
     except (ValueError, PositionError, CsvError) as error:
         raise StoreError(f"{path}, photo {done + 1}: {error}; correct it, or leave it out") from error
 

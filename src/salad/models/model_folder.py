@@ -287,8 +287,7 @@ def _read_config(folder: Path) -> tuple[ModelConfig, Checksums]:
         checksums = dict(settings.pop("files", {}))
         config = ModelConfig.from_dict(settings)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ModelError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise WeightsError(f"{folder / CONFIG} cannot be read: {reason}") from error
+        raise WeightsError(f"{folder / CONFIG} cannot be read: {reason(error)}") from error
     if version != _format_of(config):
         raise WeightsError(
             f"{folder / CONFIG} has format {version}, which is not that of a model in {config.precision}"

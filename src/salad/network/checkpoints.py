@@ -117,8 +117,7 @@ def _checked_file(path: Path) -> int:
             length = os.fstat(file.fileno()).st_size
             packed = zipfile.is_zipfile(file) and any(info.compress_type for info in zipfile.ZipFile(file).infolist())
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise WeightsError(f"{path} is no file of weights that can be read safely ({reason})") from error
+        raise WeightsError(f"{path} is no file of weights that can be read safely ({reason(error)})") from error
     if packed or length > MOST_OF_WEIGHTS:
         raise WeightsError(f"{path} is no file of weights that can be read safely (packed, or too long for a model)")
     return length

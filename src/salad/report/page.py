@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from salad._version import __version__
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, reason
 from salad.files import write_whole
 from salad.geo import told_metres
 
@@ -44,7 +44,7 @@ def write_page(page: Path, text: str) -> None:
         write_whole(page, text.encode("utf-8"))
     except OSError as error:
         raise BenchmarkError(
-            f"{page} cannot be written ({error.strerror or error}): name a file in a folder that is there, "
+            f"{page} cannot be written ({reason(error)}): name a file in a folder that is there, "
             "or choose another folder"
         ) from error
 

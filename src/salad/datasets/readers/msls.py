@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float64, Int64
 from salad.datasets.compact_lists import PhotoList
 from salad.datasets.coordinates import Coordinates, lat_lon_of
 from salad.datasets.readers.base import Layout, Protocol, Sides
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, reason
 from salad.tables import CsvError, number, read_csv
 
 _TRUTHS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False, "": False}
@@ -49,8 +49,7 @@ def columns(table: Path, names: Sequence[str]) -> dict[str, list[str]]:
                     raise BenchmarkError(f"{table}, line {line}: it ends before {name!r}")
                 cells.append(fields[name].strip())
     except (OSError, UnicodeDecodeError, CsvError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BenchmarkError(f"the table {table} cannot be read ({reason}): fetch it again") from error
+        raise BenchmarkError(f"the table {table} cannot be read ({reason(error)}): fetch it again") from error
     return found
 
 

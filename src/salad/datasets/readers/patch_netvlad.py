@@ -17,7 +17,7 @@ from salad.datasets.neighbours import near_on_map
 from salad.datasets.readers.base import Layout, Protocol, Radius, Sides
 from salad.datasets.readers.listed_photos import file_of, panoramas, photos_at
 from salad.datasets.safe_numpy import Arrays, read_npz
-from salad.errors import BenchmarkError
+from salad.errors import BenchmarkError, reason
 from salad.tables import read_lines
 
 # What the two lists are called where they are arrays in the file: every copy has its own names.
@@ -75,8 +75,7 @@ def _lines(path: Path) -> list[str]:
     try:
         return [line.strip() for line in read_lines(path) if line.strip()]
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BenchmarkError(f"the list {path} cannot be read ({reason}): fetch it again") from error
+        raise BenchmarkError(f"the list {path} cannot be read ({reason(error)}): fetch it again") from error
 
 
 def _metres(path: Path, given: Arrays, count: int) -> Float64[np.ndarray, "n 2"]:
