@@ -29,6 +29,7 @@ from salad.images.photo import Photo
 from salad.index import compress
 from salad.index.catalog import Catalog
 from salad.index.index import Index
+from salad.index.vectors import FileRows
 from salad.search import compressed
 from salad.search.base import Hits
 from salad.search.exact import ExactSearcher
@@ -559,6 +560,38 @@ def test_compaction_lets_go_of_damaged_photos_only_where_it_may_and_names_them_b
     assert names(index) == ["0", "1", "3", "4"]
     assert index.verify() == []
     assert add(index, range(5)) == 1
+
+
+@pytest.mark.parametrize("fault", ["other bytes", "an end"])
+def test_a_disk_that_fails_between_two_readings_is_found_out(
+    index: Index, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    """What was found right is written with the checksum it was found right by."""
+    add(index, range(6))
+    index.remove([HOME / "0.jpg"])
+    readings, whole = [0], FileRows.blocks
+
+    def failing(rows: FileRows, **settings: int) -> Iterator[tuple[int, Any]]:
+        readings[0] += 1
+        for start, block in whole(rows, **settings):
+            if readings[0] == 2:
+                if fault == "an end":
+                    return
+                block.view(np.uint16)[3, 2] ^= 1
+            yield start, block
+
+    held = contents_of(index)
+    monkeypatch.setattr(FileRows, "blocks", failing)
+    if fault == "an end":
+        with pytest.raises(StoreError, match="cut short while it was read: nothing was changed"):
+            index.compact()
+        monkeypatch.undo()
+        assert contents_of(index) == held
+        assert index.verify() == []
+    else:
+        index.compact()
+        monkeypatch.undo()
+        assert [sentence.split(" has ")[0] for sentence in index.verify()] == [str(HOME / "3.jpg")]
 
 
 def test_a_truncated_matrix_opens_and_the_rest_stays_usable(index: Index) -> None:

@@ -89,7 +89,7 @@ def _rewrite(
             return len(kept), []  # nothing to be gained
         if damaged and dropping is not None:
             dropping(damaged)
-        new, checksums = _write(folder, old, kept, last.generation + 1)
+        new, checksums = _write(folder, old, kept, noted[kept], last.generation + 1)
     finally:
         old.close()  # or Windows would not let it be deleted
     catalog.renumber(kept, checksums)
@@ -110,15 +110,23 @@ def _worth_keeping(catalog: Catalog, rows: FileRows, live: Numbers, noted: Numbe
     return kept, damaged + [known.photo.path for known in others if known.trouble]
 
 
-def _write(folder: Path, old: FileRows, kept: Numbers, number: int) -> tuple[str, Numbers]:
-    """Write the rows that stay into a file of their own; its name, and their checksums."""
-    checksums = []
+def _write(folder: Path, old: FileRows, kept: Numbers, noted: Numbers, number: int) -> tuple[str, Numbers]:
+    """Write the rows that stay into a file of their own; its name, and their checksums.
+
+    Those that were noted stay what they are, for they have just been found right: should the disk give other bytes now,
+    that shows. Only where none was noted it is made.
+    """
+    checksums, done = noted.copy(), 0
     try:
         with index_folder.new_file(folder, "descriptors-{}.f16", number) as file:
             for start, block in old.blocks():
                 chosen = block[kept[(kept >= start) & (kept < start + len(block))] - start]
                 file.write(chosen.data)
-                checksums += sums(chosen)
+                anew = np.flatnonzero(checksums[done : done + len(chosen)] == UNKNOWN)
+                checksums[done + anew] = sums(chosen[anew])
+                done += len(chosen)
+            if done < len(kept):
+                raise StoreError(f"{old.path} was cut short while it was read: nothing was changed; restore it")
             file.flush()
             os.fsync(file.fileno())
             index_folder.settle(folder)  # its name too, before a commit says it
@@ -127,7 +135,7 @@ def _write(folder: Path, old: FileRows, kept: Numbers, number: int) -> tuple[str
             f"new descriptors in {folder} cannot be written ({error.strerror}): nothing was changed; this needs "
             "room for those that stay beside the old ones"
         ) from error
-    return Path(file.name).name, np.array(checksums, dtype=np.int64)
+    return Path(file.name).name, checksums
 
 
 def _refusal(folder: Path, damaged: list[Path]) -> StoreError:
