@@ -10,7 +10,7 @@ Everything that opens such a photo takes one of these in place of a path.
 
 from __future__ import annotations
 
-import hashlib
+import io
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from pathlib import Path
 from salad.errors import PhotoError, reason
 from salad.files import read_file
 from salad.images.decode import LONGEST
+from salad.images.photo import content_hash
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class HeldPhoto:
             content = read_file(self.path, most=LONGEST)
         except (OSError, ValueError) as error:  # the last: no file's name, as one with a NUL
             raise refused from error
-        if hashlib.blake2b(content, digest_size=16).hexdigest() != self.identity:
+        if content_hash(self.path, file=io.BytesIO(content)) != self.identity:
             raise refused
         return content
 

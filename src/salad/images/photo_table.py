@@ -17,8 +17,9 @@ from salad.images.metadata import Position
 from salad.tables import CsvError, number, read_csv, read_parquet, shown
 
 _NEEDED, _MORE = ("path", "lat", "lon"), ("heading", "time")
-_COLUMNS = (*_NEEDED, "heading", "time")
-_LONGEST_PATH = 4096  # letters; no system opens longer ones
+_COLUMNS = (*_NEEDED, *_MORE)
+LONGEST_PATH = 4096
+"""Letters of a path that a table names; no system opens longer ones, and to resolve them takes time without end."""
 _LONG_NAME = 40  # characters of a column's name that a sentence tells
 
 
@@ -46,7 +47,7 @@ class Row:
         times = {name: value.isoformat() for name, value in known.items() if isinstance(value, datetime)}
         texts = {name: times.get(name) or str(value).strip() for name, value in known.items()}
         path, heading, time = (texts.get(column, "") for column in ("path", "heading", "time"))
-        if not path or "\0" in path or len(path) > _LONGEST_PATH:
+        if not path or "\0" in path or len(path) > LONGEST_PATH:
             raise ValueError("its path is empty or no file's name")
         where = GeoPoint(_degrees(texts["lat"], "lat"), _degrees(texts["lon"], "lon"))
         turned = _degrees(heading, "heading") % 360 if heading else None

@@ -16,6 +16,7 @@ from typing import Any
 from salad.errors import PositionError, StoreError, reason
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
+from salad.images.photo_table import LONGEST_PATH
 from salad.index.geojson import is_text, read_features, write_features
 from salad.tables import CsvError, number, read_csv, read_parquet, shown, write_table
 
@@ -25,7 +26,6 @@ Record = Mapping[str, Any]
 COLUMNS = ("path", "lat", "lon", "heading", "time", "identity")
 _DEGREES = ("lat", "lon", "heading")
 _IDENTITY = re.compile(r"[0-9a-f]{32}")
-_LONGEST_PATH = 4096  # letters; no system opens longer ones, and to resolve them takes time without end
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
 def _can_be_a_name(path: str) -> bool:
     """Whether a file could be called so: no NUL, no half of a letter, and not without end."""
     try:
-        return "\0" not in path and len(path) <= _LONGEST_PATH and bool(os.fsencode(path))
+        return "\0" not in path and len(path) <= LONGEST_PATH and bool(os.fsencode(path))
     except UnicodeEncodeError:
         return False
 

@@ -91,9 +91,7 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
         except (SafetensorError, OSError) as error:
             raise WeightsError(f"{path} is no safetensors file that can be read: {reason(error)}") from error
     try:
-        with warnings.catch_warnings():  # torch's, of pickles that it would not have written
-            warnings.simplefilter("ignore")
-            raw: Any = torch.load(path, map_location="cpu", weights_only=True)
+        raw = load_pickle(path)
     except Exception as error:  # a foreign pickle may fail in any way; none may run code
         raise WeightsError(f"{path} is no file of weights that can be read safely ({type(error).__name__})") from error
     # Lightning wraps the weights, beside optimizers and settings that are of no use here.
@@ -104,6 +102,17 @@ def read_tensors(path: Path) -> Mapping[str, Tensor]:
     if sum(value.numel() * value.element_size() for value in raw.values()) > 4 * length:
         raise WeightsError(f"{path} says it holds more numbers than fit into its {length:,} bytes: fetch it again")
     return {str(key): value for key, value in raw.items()}
+
+
+def load_pickle(path: Path) -> Any:
+    """What torch saved, on the processor; nothing in it is run, and torch is quiet about what others wrote.
+
+    Raises:
+        Exception: Anything at all for a damaged or foreign file.
+    """
+    with warnings.catch_warnings():  # of pickles that torch would not have written
+        warnings.simplefilter("ignore")
+        return torch.load(path, map_location="cpu", weights_only=True)
 
 
 def _checked_file(path: Path) -> int:

@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -24,6 +23,7 @@ from torch import Tensor
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError, TrainingError, reason
 from salad.files import parse_json, read_json, write_whole
+from salad.network.checkpoints import load_pickle
 from salad.network.config import ModelConfig
 from salad.network.network import Network
 from salad.training.devices import versions
@@ -179,9 +179,7 @@ def load_checkpoint(folder: Path, identity: Mapping[str, Any]) -> dict[str, Any]
     if not path.is_file():
         return None
     try:
-        with warnings.catch_warnings():  # torch's, of pickles that it would not have written
-            warnings.simplefilter("ignore")
-            saved = torch.load(path, map_location="cpu", weights_only=True)
+        saved = load_pickle(path)
     except Exception as error:  # a damaged file fails in any way
         raise TrainingError(f"{path} is damaged ({type(error).__name__}): {_ADVICE}") from error
     if not isinstance(saved, dict) or not isinstance(saved.get("step"), int):
