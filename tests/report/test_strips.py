@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 
 from pages import Sharing
+from salad.images.decode import Pixels
 from salad.images.metadata import save_jpeg
+from salad.images.workers import Workers
 from salad.models.fake import FakeDescriber
-from salad.report import strips
 from salad.report.strips import Thumbnails
 
 
@@ -47,13 +48,13 @@ def test_layers_are_those_that_the_page_asks_for(photo: Path) -> None:
 
 def test_each_photo_is_opened_once_for_each_size(photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     count: list[Path] = []
-    whole = strips.open_rgb
+    whole = Workers.show
 
-    def counting(path: Path, **limits: tuple[int, int]) -> Image.Image:
+    def counting(workers: Workers, path: Path, side: int) -> Pixels:
         count.append(path)
-        return whole(path, **limits)
+        return whole(workers, path, side)
 
-    monkeypatch.setattr(strips, "open_rgb", counting)
+    monkeypatch.setattr(Workers, "show", counting)
     thumbnails = Thumbnails()
     for side in (100, 100, 50, 100):
         thumbnails.of(photo, "a", side=side)

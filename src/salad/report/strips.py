@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from PIL import Image
 
 from salad.errors import PhotoError
-from salad.images.decode import decode, open_rgb
 from salad.images.named import NamedPhoto
+from salad.images.workers import Workers
 from salad.report.explain import cluster_layer, data_uri, dustbin_layer, share_of
 from salad.report.page import several
 
 if TYPE_CHECKING:
-    from salad.models.describer import DescriberLike, PhotoLike
+    from salad.models.describer import DescriberLike
 
 QUALITY = 76  # of the JPEGs inside a page: at these sizes more is not seen, and a page is mailed around
 
@@ -73,18 +72,15 @@ class Thumbnails:
         return self._drawn[photo, side]
 
     def _draw(self, photo: Path | NamedPhoto, side: int) -> Thumbnail:
-        # What others name is read once, and shown to people and to the model is what was checked.
-        path, file = (photo, None) if isinstance(photo, Path) else (photo.path, BytesIO(photo.read()))
-        shown, layers = open_rgb(path, file=file), {}
+        with Workers(1) as workers:
+            shown, layers = Image.fromarray(workers.show(photo, side)), {}
         # Decoded anew for the model: the photo for people is decoded otherwise.
-        share = None if self.model is None else share_of(self.model, _for_model(self.model, path, file))
+        share = None if self.model is None else share_of(self.model, photo)
         if share is not None:
             self.dustbins.append(float(share.dustbin.mean()))
             layers["dustbin"] = data_uri(dustbin_layer(share))
             if self.clusters:
                 layers["clusters"] = data_uri(cluster_layer(share))
-        # Never enlarged: a small photo stays its own size.
-        shown.thumbnail((side, side), Image.Resampling.LANCZOS)
         return Thumbnail(data_uri(shown, quality=QUALITY), shown.width, shown.height, layers)
 
     @property
@@ -101,13 +97,6 @@ class Thumbnails:
     def dustbin(self) -> float | None:
         """What the dustbin took over all photos, as a share; None where there is none."""
         return sum(self.dustbins) / len(self.dustbins) if self.dustbins else None
-
-
-def _for_model(model: DescriberLike, path: Path, file: BytesIO | None) -> PhotoLike:
-    if file is None:
-        return path
-    to = model.preprocessing
-    return decode(path, to.height, to.width, to.resample, file=file)
 
 
 class CaptionPart(NamedTuple):
