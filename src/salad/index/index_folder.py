@@ -7,7 +7,7 @@ import re
 import shutil
 import uuid
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -44,28 +44,31 @@ def drafted(folder: Path, what: str) -> Iterator[Path]:
         StoreError: If the folder is in use or cannot be written.
     """
     draft = folder.parent / f".{folder.name}.{uuid.uuid4().hex}"
-    held: list[int] = []  # closed, and so unlocked, when this ends, however it does
-    try:
-        if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-            raise StoreError(f"{folder} already exists and is not empty: name another folder, or open it to add to it")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(folder.parent):  # so that nobody takes this draft for a dead one before it is locked
-            _sweep_drafts(folder)
-            draft.mkdir()
-            held += _lock(draft)
-        yield draft
-        settle(draft)  # its files' names onto the disk before its own says that all are there
-        if folder.exists():
-            folder.rmdir()  # an empty one: on Windows nothing is renamed over it
-        draft.rename(folder)
-    except OSError as error:
-        raise StoreError(
-            f"no {what} can be made at {folder} ({reason(error)}): name another folder, make room, or check permissions"
-        ) from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        for descriptor in held:
-            os.close(descriptor)
+    with ExitStack() as for_as_long:
+        try:
+            if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+                raise StoreError(
+                    f"{folder} already exists and is not empty: name another folder, or open it to add to it"
+                )
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with _locked(
+                folder.parent, wait=True
+            ):  # so that nobody takes this draft for a dead one before it is locked
+                _sweep_drafts(folder)
+                draft.mkdir()
+                for_as_long.enter_context(_locked(draft))
+            yield draft
+            settle(draft)  # its files' names onto the disk before its own says that all are there
+            if folder.exists():
+                folder.rmdir()  # an empty one: on Windows nothing is renamed over it
+            draft.rename(folder)
+        except OSError as error:
+            raise StoreError(
+                f"no {what} can be made at {folder} ({reason(error)}): name another folder, make room, or "
+                "check permissions"
+            ) from error
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
 
 
 def _sweep_drafts(folder: Path) -> None:
@@ -73,38 +76,28 @@ def _sweep_drafts(folder: Path) -> None:
     name = re.compile(re.escape(f".{folder.name}.") + "[0-9a-f]{32}")
     for draft in folder.parent.iterdir():
         if name.fullmatch(draft.name) and draft.is_dir() and not draft.is_symlink():
-            for descriptor in _lock(draft):
-                shutil.rmtree(draft, ignore_errors=True)
-                os.close(descriptor)
+            with _locked(draft) as is_dead:
+                if is_dead:
+                    shutil.rmtree(draft, ignore_errors=True)
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Wait for the lock of a folder and hold it, where there are such locks."""
-    held = _lock(folder, wait=True)
-    try:
-        yield
-    finally:
-        for descriptor in held:
-            os.close(descriptor)
+def _locked(folder: Path, *, wait: bool = False) -> Iterator[bool]:
+    """Hold the lock of a folder, which goes with its process.
 
+    Yields:
+        Whether it is held: not where somebody else holds it, nor where there are no such locks.
+    """
+    with ExitStack() as opened:
+        held = False
+        with suppress(ImportError, OSError):  # Windows; a parent that may be written and not be read; a network's disk
+            import fcntl
 
-def _lock(folder: Path, *, wait: bool = False) -> list[int]:
-    """The descriptor that holds the lock of a folder; none where somebody else does, or there are no such locks."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return []
-    try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError:  # a parent that may be written and not be read
-        return []
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:  # held, or some network's disk
-        os.close(descriptor)
-        return []
-    return [descriptor]
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            opened.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            held = True
+        yield held
 
 
 def new_file(folder: Path, name: str, number: int) -> BinaryIO:
