@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from tyro.conf import Positional, arg
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from salad.images.photo_table import PhotoTable
     from salad.index.index import Index
     from salad.models.describer import DescriberLike
+
+T = TypeVar("T")
 
 
 _MOST = 1_000_000_000  # photos, steps, pixels: nobody means more, and some libraries take no more
@@ -119,17 +122,27 @@ def is_index(folder: Path) -> bool:
     return (folder / HEADER_FILE).exists()
 
 
+def unless_there(folder: Path, make: Callable[[], T]) -> T | None:
+    """What `make` gives that makes an index in a folder; None where one is there, or has come there meanwhile."""
+    if is_index(folder):
+        return None
+    try:
+        return make()
+    except StoreError:
+        if not is_index(folder):  # else another program has made one since we looked, and ours go into that
+            raise
+        return None
+
+
 def open_or_create(folder: Path, model: DescriberLike) -> Index:
     """The index in a folder, made for the model where there is none yet."""
     from salad.index.index import Index
 
-    if not is_index(folder):
-        try:
-            return Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name)
-        except StoreError:
-            if not is_index(folder):  # else another program has made one since we looked, and ours go into that
-                raise
-    return Index.open(folder)
+    made = unless_there(
+        folder,
+        lambda: Index.create(folder, dim=model.dim, fingerprint=model.fingerprint, model=model.name),
+    )
+    return Index.open(folder) if made is None else made  # an empty one is false
 
 
 def model_name_for(folder: Path) -> str:

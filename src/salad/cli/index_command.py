@@ -21,15 +21,15 @@ from salad.cli.arguments import (
     Table,
     Threads,
     check_threads,
-    is_index,
     model_name_for,
     open_or_create,
     positive,
     read_positions,
     settle_engine,
+    unless_there,
 )
 from salad.cli.compress_command import keep_compressed
-from salad.errors import SaladError, StoreError
+from salad.errors import SaladError
 
 if TYPE_CHECKING:
     from salad.images.photo_table import PhotoTable
@@ -135,17 +135,10 @@ class IndexCommand:
 
         if self.photos or self.table or self.prune:
             raise SaladError("--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune")
-        added = None
-        if not is_index(self.to):
-            try:
-                added = take_as_new(self.to, folder, model=self.model)
-            except StoreError:
-                if not is_index(self.to):  # else another program has made one since we looked
-                    raise
-        if added is None:
-            with Index.open(self.to) as index:
-                added = take(index, folder, model=self.model)
+        added = unless_there(self.to, lambda: take_as_new(self.to, folder, model=self.model))
         with Index.open(self.to) as index:
+            if added is None:
+                added = take(index, folder, model=self.model)
             held = len(index)
             keep_compressed(index)
         terminal.say(f"{self.to}: {added} photos added from {folder}; it holds {held}")
