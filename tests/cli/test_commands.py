@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -311,6 +313,16 @@ def test_info_tells_what_an_index_holds(cli: Any, city: Path) -> None:
     assert (told["earliest"], told["latest"]) == ("2024-05-01T12:00:00", "2024-05-06T12:00:00")
     assert (told["with_heading"], told["with_time"], told["removed"]) == (6, 6, 0)
     assert told["bytes_of_descriptors"] == 6 * 256 * 2 < told["bytes"]
+
+
+@pytest.mark.parametrize("wrong", ["\x1b[2J", "0" * 30, "9999", "99999999999999999999-01-01", "0 " + "x" * 50_000])
+def test_info_tells_no_time_that_is_none(wrong: str, cli: Any, city: Path) -> None:
+    with closing(sqlite3.connect(city / "photos.sqlite")) as db, db:
+        db.execute("UPDATE photos SET time = ? WHERE row = 1", (wrong,))
+    ran = cli("info", city)
+    assert ran.code == 0
+    assert wrong[:20] not in ran.out
+    assert len(ran.out) < 5_000
 
 
 def test_info_for_people_has_the_same_facts(cli: Any, city: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from functools import partial
@@ -27,6 +28,8 @@ from salad.search.filters import Box
 
 _ROUNDING = 1e-3  # what float16 may take from a length, and add to it: half of 2^-10
 _BLOCK = 1 << 22  # numbers looked at in one go
+# What may be a time: a stranger's text may have 60 million letters, and is not brought here to be looked at.
+_A_TIME = "WHERE typeof(time) = 'text' AND length(CAST(time AS BLOB)) BETWEEN 8 AND 40 AND time GLOB '[0-9]*'"
 _OF_CODES = ("bytes_of_codes", "code_bytes", "coded", "codes_fitted_on")
 _CHECKED = 1024  # rows found whose checksums are looked up in one go
 
@@ -92,8 +95,8 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
         version = FORMAT_VERSION if catalog.is_todays() else header.format_version
         codes = next(iter(CodeTable(catalog).sets(matrix=last.matrix)), None)
         ((photos, with_heading, with_time, earliest, latest),) = catalog.select(
-            "SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time) FILTER (WHERE typeof(time) = 'text'), "
-            "MAX(time) FILTER (WHERE typeof(time) = 'text') FROM photos WHERE removed = 0"
+            f"SELECT COUNT(*), COUNT(heading), COUNT(time), MIN(time) FILTER ({_A_TIME}), MAX(time) FILTER ({_A_TIME}) "
+            "FROM photos WHERE removed = 0"
         )
     around = box(positions)
     return IndexInfo(
@@ -114,10 +117,17 @@ def survey(folder: Path, header: Header, catalog: Catalog) -> IndexInfo:
         created=header.created,
         box=around,
         span_km=span_km(around) if around else None,
-        earliest=earliest,
-        latest=latest,
+        earliest=_if_a_time(earliest),
+        latest=_if_a_time(latest),
         format_version=version,
     )
+
+
+def _if_a_time(text: str | None) -> str | None:
+    """A time as the table has it; None also where somebody wrote what is none."""
+    with suppress(ValueError):
+        return text if text and datetime.fromisoformat(text) else None
+    return None
 
 
 def box(positions: npt.ArrayLike) -> Box | None:
