@@ -6,6 +6,7 @@ import random
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -16,6 +17,7 @@ from attack.attacks import Attack
 from attack.outside import Scene, differences, seen
 from attack.test_attacks import ALL
 from attack.test_flat import stays_flat, watched
+from earlier_indexes import as_format_1
 from salad.index.index import Index
 
 MUTATIONS = 100_000
@@ -58,54 +60,78 @@ def test_ten_thousand_locates_stay_flat(tmp_path: Path) -> None:
 
 Held = set[str]
 """Names of photos."""
-KILLED: dict[str, tuple[Sequence[str], Callable[[Held], Held]]] = {
-    # What is killed, and what an index that held some photos holds when it has come to its end.
-    "a new index": (("index", "{photos}", "--to", "{work}/new"), lambda held: ALL_PHOTOS),
-    "an addition": (("index", "{photos}", "--to", "{work}/mine.index"), lambda held: ALL_PHOTOS),
-    "photos elsewhere": (("index", "{work}/queries", "--to", "{work}/mine.index"), lambda held: held),
-    "pruning": (("index", "{work}/gone", "--to", "{work}/mine.index", "--prune"), lambda held: held),
-    "a removal": (("remove", "{photos}/1.jpg", "--index", "{work}/mine.index"), lambda held: held - {"1.jpg"}),
-    "a compaction": (("compact", "{work}/mine.index"), lambda held: held),
-    "a compression": (("compress", "{work}/mine.index", "--bytes", "128"), lambda held: held),
-    "taking codes away": (("compress", "{work}/mine.index", "--off"), lambda held: held),
-    "a merge": (("merge", "{work}/mine.index", "{work}/other.index"), lambda held: held | {"8.jpg"}),
-    "an export": (("export", "{work}/mine.index", "--to", "{work}/exported"), lambda held: held),
-    "an import": (("index", "--from", "{work}/sent", "--to", "{work}/new"), lambda held: held),
+
+
+class Killed(NamedTuple):
+    """A command that is killed.
+
+    Attributes:
+        command: Its arguments.
+        comes_of_it: What an index that held some photos holds when the command has come to its end.
+        target: The index that it changes.
+    """
+
+    command: Sequence[str]
+    comes_of_it: Callable[[Held], Held] = lambda held: held
+    target: str = "mine.index"
+
+
+KILLED = {
+    "a new index": Killed(("index", "{photos}", "--to", "{work}/new"), lambda held: ALL_PHOTOS, "new"),
+    "an addition": Killed(("index", "{photos}", "--to", "{work}/mine.index"), lambda held: ALL_PHOTOS),
+    "photos elsewhere": Killed(("index", "{work}/queries", "--to", "{work}/mine.index")),
+    "pruning": Killed(("index", "{work}/gone", "--to", "{work}/mine.index", "--prune")),
+    "a removal": Killed(("remove", "{photos}/1.jpg", "--index", "{work}/mine.index"), lambda held: held - {"1.jpg"}),
+    "an upgrade": Killed(
+        ("remove", "{photos}/1.jpg", "--index", "{work}/earlier.index"),
+        lambda held: held - {"1.jpg"},
+        "earlier.index",
+    ),
+    "a compaction": Killed(("compact", "{work}/mine.index")),
+    "a drop of what is damaged": Killed(
+        ("compact", "{work}/damaged.index", "--drop-damaged"), lambda held: held - {"2.jpg"}, "damaged.index"
+    ),
+    "a compression": Killed(("compress", "{work}/mine.index", "--bytes", "128")),
+    "taking codes away": Killed(("compress", "{work}/mine.index", "--off")),
+    "a merge": Killed(("merge", "{work}/mine.index", "{work}/other.index"), lambda held: held | {"8.jpg"}),
+    "an export": Killed(("export", "{work}/mine.index", "--to", "{work}/exported")),
+    "an import": Killed(("index", "--from", "{work}/sent", "--to", "{work}/new"), lambda held: held, "new"),
 }
 ALL_PHOTOS: Held = {f"{number}.jpg" for number in range(PHOTOS)}
 
 
 def held_by(folder: Path) -> Held:
-    """What an index holds, which must be sound."""
+    """What an index holds, of which nothing but photo 2 may be damaged, and that only where it was before."""
     with Index.open(folder) as index:
-        assert index.verify() == []
-        return {photo.path.name for photo in index.photos()}
+        held = {photo.path.name for photo in index.photos()}
+        damaged = [sentence for sentence in index.verify() if "2.jpg" in sentence]
+        assert len(index.verify()) == len(damaged) == (folder.name == "damaged.index" and "2.jpg" in held)
+        return held
 
 
 @pytest.mark.parametrize("what", KILLED)
 def test_a_killed_command_leaves_what_was_or_what_comes_of_it(what: str, stage: tuple[Arena, Scene]) -> None:
     arena, scene = stage
-    chance, (command, comes_of_it) = random.Random(what), KILLED[what]
+    chance, (command, comes_of_it, changed) = random.Random(what), KILLED[what]
     arguments = [argument.format(work=scene.work, photos=scene.photos) for argument in command]
     set_up(scene)
     prepare(scene, arena)
-    begun, took = scene.given / "begun", None
+    begun, took, target = scene.given / "begun", None, scene.work / changed
     shutil.copytree(scene.work, begun, symlinks=True)
     killed = 0
     for _ in range(KILLS // len(KILLED) + 1):
         shutil.rmtree(scene.work)
         shutil.copytree(begun, scene.work, symlinks=True)
-        before, outside = held_by(scene.work / "mine.index"), seen(scene.outside)
+        before = held_by(target if target.exists() else scene.work / "mine.index")
+        after, outside = comes_of_it(before), seen(scene.outside)
         if took is None:  # once to the end, to know how long it takes
             took = arena.run(*arguments, cwd=scene.work).seconds
             continue
         ran = arena.run(*arguments, cwd=scene.work, seconds=chance.uniform(0.0, 1.1 * took))
         killed += ran.killed
-        target = scene.work / "new" if what in ("a new index", "an import") else scene.work / "mine.index"
-        after = comes_of_it(before)
         if target.exists():
             now = held_by(target)
-            least, most = (set(), after) if target.name == "new" else (before & after, before | after)
+            least, most = (set(), after) if changed == "new" else (before & after, before | after)
             assert least <= now <= most, f"{what}: {sorted(now)} of {sorted(before)}"
         if (scene.work / "exported").exists():
             assert {path.name for path in (scene.work / "exported").iterdir()} == WHOLE_EXPORT
@@ -121,7 +147,7 @@ WHOLE_EXPORT = {"descriptors.npy", "photos.csv", "model.json"}
 
 
 def prepare(scene: Scene, arena: Arena) -> None:
-    """Photos that are gone, an export, and another index, beside the sound one."""
+    """Photos that are gone, an export, another index, one of format 1 and a damaged one, beside the sound one."""
     work = scene.work
     shutil.copy(scene.photos / "7.jpg", work / "8.jpg")
     with (work / "8.jpg").open("ab") as file:
@@ -134,3 +160,11 @@ def prepare(scene: Scene, arena: Arena) -> None:
     ):
         ran = arena.run(*command, cwd=work)
         assert ran.code == 0, ran
+    shutil.copytree(work / "mine.index", work / "earlier.index")
+    as_format_1(work / "earlier.index")
+    shutil.copytree(work / "mine.index", work / "damaged.index")
+    with Index.open(work / "damaged.index") as index:
+        row = [photo.path.name for photo in index.photos()].index("2.jpg")
+    with next((work / "damaged.index").glob("*.f16")).open("r+b") as matrix:
+        matrix.seek(row * index.dim * 2)
+        matrix.write(bytes(64))
