@@ -29,8 +29,10 @@ from PIL import Image
 
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint
+from salad.images.at_names import at_name, parse_at_name
 from salad.images.decode import existing
-from salad.images.metadata import Position, at_name, parse_at_name, to_exif
+from salad.images.exif import to_exif
+from salad.images.metadata import Position
 from salad.images.photo import listed
 from salad.images.photo_table import PhotoTable
 from salad.images.workers import Pool, Workers

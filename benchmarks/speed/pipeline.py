@@ -34,7 +34,7 @@ from benchmarks.options import SHIPPED, TRAIN, benchmark_parser
 from benchmarks.speed.startup import children
 from benchmarks.speed.startup import salad as command
 from salad.geo import GeoPoint
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.photo import photos_in
 from salad.images.worker_process import read
 from salad.processors import processors

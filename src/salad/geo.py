@@ -51,6 +51,14 @@ class Utm:
     letter: str
 
 
+def null_island(where: GeoPoint | None) -> bool:
+    """Whether a point is exactly 0,0 in degrees: what a device writes that does not know where it is.
+
+    One axis alone may well be zero, on the equator and along Greenwich's meridian.
+    """
+    return where is not None and where.lat == 0 and where.lon == 0
+
+
 def in_degrees(points: Iterable[GeoPoint | None]) -> NDArray[np.float64]:
     """Latitudes and longitudes, `[N, 2]` degrees; NaN where a point is not known."""
     import numpy as np

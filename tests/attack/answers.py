@@ -15,7 +15,7 @@ from attack.arena import SECONDS, Arena, Ran
 from attack.attacks import Attack, Command
 from attack.outside import Scene, differences, seen
 from salad.geo import GeoPoint, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 
 PHOTOS = 8
 INDEX = "{given}/city.index"

@@ -355,7 +355,8 @@ def _photos(folder: Path) -> None:
     from PIL import Image, features
 
     from salad.geo import GeoPoint
-    from salad.images.metadata import Position, to_exif
+    from salad.images.exif import to_exif
+    from salad.images.metadata import Position
 
     folder.mkdir()
     picture = Image.fromarray(np.random.default_rng(1).integers(0, 256, (24, 24, 3), dtype=np.uint8))

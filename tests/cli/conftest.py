@@ -18,7 +18,7 @@ from PIL import Image
 from canary import Canary, seen
 from salad.cli.main import run
 from salad.geo import GeoPoint, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.models.fake import FakeDescriber
 
 HOME = GeoPoint(48.1, 11.5)

@@ -19,7 +19,7 @@ from rich.table import Table
 import salad as library
 from salad.errors import SaladError
 from salad.geo import GeoPoint, metres_between, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.photo import read_photo
 from salad.index.index import Index
 from salad.models.fake import FakeDescriber

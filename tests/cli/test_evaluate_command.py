@@ -16,7 +16,7 @@ from salad.errors import BenchmarkError
 from salad.evaluation.evaluate_benchmark import CENTRED
 from salad.evaluation.leaks import Leak
 from salad.evaluation.result import read_result
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.photo import read_photo
 from salad.models.fake import FakeDescriber
 from salad.network.config import Calibration

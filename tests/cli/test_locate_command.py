@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from salad.geo import GeoPoint, metres_between, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.photo import read_photo
 
 HOME = GeoPoint(48.1, 11.5)  # of the city: a street every 200 m, its heading 30 degrees further each time

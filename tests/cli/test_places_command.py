@@ -15,7 +15,7 @@ from salad.datasets.cluster import Reason
 from salad.datasets.places import find_places
 from salad.errors import SaladError
 from salad.geo import GeoPoint, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 
 HOME = GeoPoint(48.10004, 11.50006)
 

@@ -17,7 +17,7 @@ import pytest
 from safetensors.numpy import load_file
 
 import salad
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.models import hub
 from salad.models.model_folder import write_folder
 from salad.network.baseline_config import SceneConfig, VladConfig

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from salad.geo import GeoPoint, Utm, from_utm, shifted
-from salad.images.metadata import at_name
+from salad.images.at_names import at_name
 
 PITTSBURGH = (585_000.0, 4_477_000.0)  # metres in zone 17 T
 

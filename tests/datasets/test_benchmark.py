@@ -14,7 +14,7 @@ from salad.datasets import benchmark as benchmarks
 from salad.datasets.benchmark import Benchmark, from_frames, from_radius, from_truth
 from salad.errors import BenchmarkError, PhotoError
 from salad.geo import GeoPoint, metres_between, shifted
-from salad.images.metadata import at_name
+from salad.images.at_names import at_name
 from salad.images.photo import Photo
 
 HERE = GeoPoint(41.65, -0.88)

@@ -17,7 +17,7 @@ from salad.datasets.protocols import read
 from salad.datasets.readers.at_names import read_side
 from salad.errors import BenchmarkError
 from salad.geo import GeoPoint, metres_between
-from salad.images.metadata import parse_at_name
+from salad.images.at_names import parse_at_name
 
 REFS = [0.0, 10.0, 24.0, 60.0, 500.0, 530.0]
 ASKED = [0.0, 35.0, 300.0, 505.0]

@@ -11,7 +11,7 @@ import pytest
 from salad.demo.demo_result import DemoResult, Judged
 from salad.demo.town.town import Town
 from salad.geo import GeoPoint, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.photo import Photo
 from salad.index.index import Match
 from salad.localize.locate import Answer

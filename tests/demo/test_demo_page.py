@@ -12,7 +12,7 @@ from pages import Page, Sharing
 from salad.demo.demo_page import coordinates, draw_demo_page, town_map
 from salad.demo.demo_result import DemoResult
 from salad.geo import GeoPoint
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.models.fake import FakeDescriber
 from salad.report.page import write_page
 

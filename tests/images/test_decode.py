@@ -20,7 +20,8 @@ from salad.errors import ModelError, PhotoError
 from salad.geo import GeoPoint
 from salad.images import decode
 from salad.images.decode import open_rgb, squeeze
-from salad.images.metadata import Position, read_exif, save_jpeg
+from salad.images.exif import read_exif, save_jpeg
+from salad.images.metadata import Position
 
 RAMP = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
 COLOURS = np.stack([RAMP, RAMP[::-1], 255 - RAMP], axis=2)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from salad.errors import PhotoError
 from salad.images import named
 from salad.images.decode import decode
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.named import HeldPhoto, NamedPhoto, PhotoBelow
 from salad.images.photo import content_hash
 from salad.models.fake import FakeDescriber

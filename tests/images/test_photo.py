@@ -18,8 +18,10 @@ from PIL import Image
 
 from salad.errors import PhotoError, PositionError
 from salad.geo import GeoPoint, metres_between, shifted
+from salad.images.at_names import at_name
 from salad.images.decode import open_rgb
-from salad.images.metadata import Position, at_name, save_jpeg
+from salad.images.exif import save_jpeg
+from salad.images.metadata import Position
 from salad.images.photo import Photo, content_hash, find_photos, read_photo
 from salad.images.photo_table import PhotoTable
 

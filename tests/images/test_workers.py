@@ -23,7 +23,7 @@ from salad.errors import PhotoError
 from salad.geo import GeoPoint
 from salad.images import worker_process, workers
 from salad.images.decode import decode, open_rgb
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.named import HeldPhoto
 from salad.images.photo import content_hash, read_photo
 from salad.images.worker_process import PhotoRead, read

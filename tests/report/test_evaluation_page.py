@@ -20,7 +20,7 @@ from salad.evaluation.evaluate_benchmark import EvalSettings, judge
 from salad.evaluation.leaks import Leak
 from salad.evaluation.result import Ranked, Result, read_result, write_result
 from salad.geo import GeoPoint, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.photo import Photo
 from salad.models.fake import FakeDescriber
 from salad.report import map as maps

@@ -10,7 +10,7 @@ from PIL import Image
 
 from pages import Sharing
 from salad.images.decode import Pixels
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.workers import Workers
 from salad.models.fake import FakeDescriber
 from salad.report.strips import Thumbnails

@@ -311,7 +311,7 @@ def write_copies(folder: Path, answers: Sequence[Answer]) -> int:
     Returns:
         How many copies were written.
     """
-    from salad.images.metadata import copy_with_position
+    from salad.images.exif_copy import copy_with_position
 
     folder.mkdir(parents=True, exist_ok=True)
     written = 0

@@ -22,7 +22,7 @@ from salad.datasets.folders import frame, two_folders
 from salad.datasets.ground_truth import PhotoNames, looking_alike, read_truth
 from salad.datasets.neighbours import near_on_earth
 from salad.errors import BenchmarkError
-from salad.images.metadata import parse_at_name
+from salad.images.at_names import parse_at_name
 from salad.images.photo import Photo, placed, read_photo
 from salad.images.photo_table import PhotoTable
 

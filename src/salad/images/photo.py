@@ -6,15 +6,17 @@ import hashlib
 import os
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TextIO
 
 from salad.errors import PhotoError
 from salad.geo import GeoPoint
+from salad.images.at_names import parse_at_name
 from salad.images.decode import existing, in_memory, naming
-from salad.images.metadata import Position, parse_at_name, read_exif
+from salad.images.exif import read_exif
+from salad.images.metadata import NOTHING_SAID, SOURCES, Position, settled
 from salad.tables import bounded_lines
 
 if TYPE_CHECKING:
@@ -36,12 +38,21 @@ class Photo:
         where: Where it was taken.
         heading: Which way the camera looked, in degrees clockwise from north, 0 to 360.
         time: When it was taken; local time where it carries no time zone.
+        source: Who says where, one of `salad.images.metadata.SOURCES`; None where nobody does, or it is not known who.
+        remark: Why it has no position, or what of it was not understood: half a sentence, which may be empty.
     """
 
     path: Path
     where: GeoPoint | None = None
     heading: float | None = None
     time: datetime | None = None
+    source: str | None = field(default=None, compare=False)
+    remark: str = field(default="", compare=False)
+
+    @classmethod
+    def of(cls, path: Path, known: Position) -> Photo:
+        """A photo of which that is known."""
+        return cls(path, known.where, known.heading, known.time, known.source, known.remark)
 
     def as_dict(self) -> dict[str, Any]:
         """This photo as JSON and tables hold it: path, lat, lon, heading, time; None for what is unknown."""
@@ -139,7 +150,7 @@ def _is_folder(entry: os.DirEntry[str]) -> bool:
 
 
 def read_photo(path: Path, table: PhotoTable | None = None, *, file: IO[bytes] | None = None) -> Photo:
-    """A photo with its position, heading and time, each from the first that has it: table, `@` name, EXIF.
+    """A photo with its position, heading and time, each from the first of `salad.images.metadata.SOURCES` that has it.
 
     Pixels are not decoded: a photo that cannot be opened has no EXIF here, and `decode` says what is wrong.
 
@@ -152,8 +163,10 @@ def read_photo(path: Path, table: PhotoTable | None = None, *, file: IO[bytes] |
         PhotoError: If there is no such file.
     """
     path = Path(path) if file is not None else existing(Path(path))
-    own = (parse_at_name(path.name) or Position()).completed(read_exif(path, file=file))
-    return placed(Photo(path, own.where, own.heading, own.time), table)
+    known = settled([parse_at_name(path.name) or Position(), read_exif(path, file=file)])
+    if known.where is None and not known.remark:
+        known = replace(known, remark=NOTHING_SAID)
+    return placed(Photo.of(path, known), table)
 
 
 def placed(photo: Photo, table: PhotoTable | None) -> Photo:
@@ -161,8 +174,9 @@ def placed(photo: Photo, table: PhotoTable | None) -> Photo:
     listed = table.get(photo.path) if table else None
     if listed is None:
         return photo
-    known = listed.completed(Position(photo.where, photo.heading, photo.time))
-    return Photo(photo.path, known.where, known.heading, known.time)
+    own = Position(photo.where, photo.heading, photo.time, photo.source or SOURCES[-1], photo.remark)
+    known = settled([replace(listed, source="table"), own])
+    return Photo.of(photo.path, known)
 
 
 def content_hash(path: Path, *, file: IO[bytes] | None = None) -> str:

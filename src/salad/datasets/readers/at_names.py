@@ -21,7 +21,7 @@ from salad.datasets.coordinates import Coordinates, lat_lon_of, zone_number
 from salad.datasets.folders import names_below, sides_in
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
-from salad.images.metadata import split_at_name
+from salad.images.at_names import split_at_name
 
 
 def find(root: Path, protocol: Protocol) -> Path | None:

@@ -33,7 +33,7 @@ from salad.demo.town.visits import ORIGIN, position_of, take_queries, take_refer
 from salad.errors import BenchmarkError, reason
 from salad.files import write_whole
 from salad.geo import GeoPoint, shifted
-from salad.images.metadata import save_jpeg
+from salad.images.exif import save_jpeg
 from salad.tables import csv_line
 
 Progress = Callable[[int, int], None]

@@ -1,0 +1,185 @@
+"""EXIF, both ways; whatever is broken says nothing and never crashes."""
+
+from __future__ import annotations
+
+import string
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from salad.errors import PhotoError
+from salad.geo import GeoPoint, Utm, from_utm, metres_between
+from salad.images.decode import open_rgb
+from salad.images.exif import from_exif, save_jpeg, to_exif
+from salad.images.metadata import Position
+
+points = st.builds(GeoPoint, st.floats(-79.9, 83.9), st.floats(-180, 180))
+zones = st.integers(-14 * 4, 14 * 4).map(lambda quarters: timezone(timedelta(minutes=15 * quarters)))
+times = st.datetimes(datetime(1900, 1, 1), datetime(2100, 1, 1), timezones=st.one_of(st.none(), zones)).map(
+    lambda t: t.replace(microsecond=0)
+)
+headings = st.floats(0, 360, exclude_max=True)
+plain = st.text(string.ascii_letters + string.digits + " -_.ßжあ", max_size=12)
+HERE = from_utm(Utm(545350.23, 4174054.95, 10, "S"))
+
+
+def exif_of(gps: dict[int, Any] | None = None, shot: dict[int, Any] | None = None) -> Image.Exif:
+    """EXIF as it comes out of a file: written to bytes and read again."""
+    exif = Image.Exif()
+    if gps is not None:
+        exif[0x8825] = gps
+    if shot is not None:
+        exif[0x8769] = shot
+    again = Image.Exif()
+    again.load(exif.tobytes())
+    return again
+
+
+def dms(*numbers: float) -> tuple[IFDRational, ...]:
+    return tuple(IFDRational(number) for number in numbers)
+
+
+@given(st.builds(GeoPoint, st.floats(-90, 90), st.floats(-180, 180)), st.none() | headings, st.none() | times)
+def test_exif_there_and_back(where: GeoPoint, heading: float | None, time: datetime | None) -> None:
+    exif = Image.Exif()
+    exif.load(to_exif(Position(where, heading, time)).tobytes())
+    told = from_exif(exif)
+    assert told.where is not None
+    assert metres_between(told.where, where) < 1e-3
+    assert told.time == time
+    assert (told.time is None) or (told.time.utcoffset() == (time and time.utcoffset()))
+    if heading is None:
+        assert told.heading is None
+    else:
+        assert told.heading is not None
+        assert abs((told.heading - heading + 180) % 360 - 180) <= 0.0051
+
+
+def test_nothing_known_writes_nothing() -> None:
+    assert from_exif(to_exif(Position())) == Position()
+    assert not to_exif(Position())
+
+
+@pytest.mark.parametrize(
+    ("lat", "ref", "degrees"),
+    [
+        (dms(37, 30, 36), "N", 37.51),
+        (dms(37, 30, 36), "S", -37.51),
+        (dms(37, 30.6, 0), "n", 37.51),
+        (dms(37, 30.6), "N ", 37.51),
+        (dms(37.51), "S", -37.51),
+    ],
+)
+def test_degrees_come_in_one_two_or_three_numbers(lat: Any, ref: str, degrees: float) -> None:
+    told = from_exif(exif_of({1: ref, 2: lat, 3: "W", 4: dms(122, 0, 0)}))
+    assert told.where is not None
+    assert told.where.lat == pytest.approx(degrees)
+    assert told.where.lon == -122
+
+
+@pytest.mark.parametrize(
+    "gps",
+    [
+        {1: "N", 2: dms(37, 30, 36)},
+        {1: "N", 3: "E"},
+        {2: dms(37, 30, 36), 4: dms(122, 0, 0)},
+        {1: "X", 2: dms(37, 30, 36), 3: "W", 4: dms(122, 0, 0)},
+        {1: "", 2: dms(37, 30, 36), 3: "W", 4: dms(122, 0, 0)},
+        {1: "N", 2: dms(97, 30, 36), 3: "W", 4: dms(122, 0, 0)},
+        {1: "N", 2: (IFDRational(0, 0),) * 3, 3: "W", 4: (IFDRational(0, 0),) * 3},
+        {1: "N", 2: dms(1, 2, 3, 4), 3: "W", 4: dms(122, 0, 0)},
+    ],
+)
+def test_a_broken_position_is_none(gps: dict[int, Any]) -> None:
+    assert from_exif(exif_of(gps)).where is None
+
+
+class Cursed(dict[int, Any]):
+    """An EXIF whose tables raise when they are read."""
+
+    def get_ifd(self, tag: int) -> dict[int, Any]:
+        raise KeyError(tag)
+
+
+def test_tables_that_cannot_be_read_say_nothing() -> None:
+    assert from_exif(Cursed()) == Position()
+
+
+@pytest.mark.parametrize(
+    ("direction", "heading"),
+    [(90.25, 90.25), (0, 0), (360, 0), (360.5, None), (65535, None)],
+)
+def test_image_direction_is_the_heading(direction: float, heading: float | None) -> None:
+    assert from_exif(exif_of({17: IFDRational(direction)})).heading == heading
+
+
+@pytest.mark.parametrize(
+    ("text", "offset", "time"),
+    [
+        ("2020:01:02 03:04:05", None, datetime(2020, 1, 2, 3, 4, 5)),
+        ("2020:01:02 03:04:05\0", "", datetime(2020, 1, 2, 3, 4, 5)),
+        (
+            "2020:01:02 03:04:05",
+            "-03:30",
+            datetime(2020, 1, 2, 3, 4, 5, tzinfo=timezone(-timedelta(hours=3.5))),
+        ),
+        ("2020:01:02 03:04:05", "later", datetime(2020, 1, 2, 3, 4, 5)),
+        ("0000:00:00 00:00:00", "+01:00", None),
+        ("    :  :     :  :  ", None, None),
+        ("yesterday", None, None),
+    ],
+)
+def test_original_time_with_its_offset(text: str, offset: str | None, time: datetime | None) -> None:
+    told = from_exif(exif_of(shot={0x9003: text} | ({} if offset is None else {0x9011: offset})))
+    assert told.time == time
+    assert time is None or (told.time is not None and told.time.tzinfo == time.tzinfo)
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from([1, 2, 3, 4, 16, 17]),
+        st.text(max_size=6)
+        | st.binary(max_size=6)
+        | st.none()
+        | st.floats()
+        | st.lists(st.one_of(st.floats(), st.text(max_size=2), st.just(IFDRational(0, 0))), max_size=4).map(tuple),
+    )
+)
+def test_no_tag_crashes(gps: dict[int, Any]) -> None:
+    class Given:
+        def get_ifd(self, tag: int) -> dict[int, Any]:
+            return gps
+
+    told = from_exif(Given())
+    assert told.heading is None or 0 <= told.heading < 360
+
+
+# --- writing -------------------------------------------------------------------------------
+
+
+def test_save_jpeg_takes_images_of_any_mode_and_replaces(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    save_jpeg(Image.new("RGBA", (8, 8), (0, 0, 0, 0)), path)
+    assert (np.asarray(open_rgb(path)) == 255).all()
+    save_jpeg(np.zeros((8, 8, 3), np.uint8), str(path), quality=50)
+    assert not np.asarray(open_rgb(path)).any()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.jpg"]
+
+
+def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    image = Image.new("RGB", (8, 8))
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.jpg").mkdir()
+    for path in (tmp_path / "gone/a.jpg", tmp_path / "file/a.jpg", tmp_path / "folder.jpg"):
+        with pytest.raises(PhotoError, match="cannot be written"):
+            save_jpeg(image, path)
+    with pytest.raises(PhotoError, match="cannot be written"):
+        save_jpeg(Image.new("L", (70_000, 1)), tmp_path / "wide.jpg")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.jpg"]
