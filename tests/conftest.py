@@ -57,3 +57,12 @@ def shared() -> Path:
     if not (folder / "golden").is_dir():
         pytest.skip(f"no golden tensors or photos at {folder}: they are not part of the repository")
     return folder
+
+
+@pytest.fixture(scope="session")
+def cases() -> Path:
+    """The folder with photos, tables and files as people have them, beside the checkout; skips where there is none."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "cases"
+    if not folder.is_dir():
+        pytest.skip(f"no cases at {folder}: they are not part of the repository")
+    return folder

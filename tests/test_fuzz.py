@@ -32,8 +32,8 @@ from salad.geo import GeoPoint
 from salad.images.at_names import at_name, parse_at_name
 from salad.images.decode import existing
 from salad.images.exif import to_exif
+from salad.images.finding import listed
 from salad.images.metadata import Position
-from salad.images.photo import listed
 from salad.images.photo_table import PhotoTable
 from salad.images.workers import Pool, Workers
 

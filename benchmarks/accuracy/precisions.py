@@ -17,7 +17,7 @@ from benchmarks.accuracy.recall import SETS
 from benchmarks.machine import conditions, in_a_line
 from benchmarks.options import EVAL, TRAIN, benchmark_parser
 from salad.evaluation.evaluate_benchmark import evaluate
-from salad.images.photo import find_photos
+from salad.images.finding import find_photos
 from salad.models.describer import Describer
 from salad.models.model_folder import load
 from salad.models.quantize import quantized

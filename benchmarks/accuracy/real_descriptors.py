@@ -26,7 +26,7 @@ import numpy.typing as npt
 from benchmarks.accuracy.recall import SETS
 from benchmarks.options import EVAL, TRAIN, benchmark_parser
 from salad.images.decode import Pixels, decode, open_rgb, squeeze
-from salad.images.photo import photos_in
+from salad.images.finding import find_photos
 from salad.models.describer import Describer
 from salad.models.model_folder import load
 
@@ -153,7 +153,7 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     model = load(given.model)
     to = model.preprocessing
-    train = sorted(str(path.relative_to(given.train)) for path in photos_in(given.train))
+    train = sorted(str(path.relative_to(given.train)) for path in find_photos([given.train]))
     # Crops of photos spread evenly over all sets; a photo's number is its seed.
     cropped = {train[at]: at for at in evenly(len(train), given.crops)}
     if given.photos is not None:

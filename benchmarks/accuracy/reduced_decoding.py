@@ -20,7 +20,7 @@ from benchmarks.accuracy.recall import SETS, describer
 from benchmarks.machine import conditions, in_a_line
 from benchmarks.options import EVAL, SHIPPED, benchmark_parser
 from salad.images.decode import decode, open_rgb, squeeze
-from salad.images.photo import find_photos
+from salad.images.finding import find_photos
 from salad.models.describer import DescriberLike
 
 SEED, MADE, SIZE = 0, 6, (1920, 1440)

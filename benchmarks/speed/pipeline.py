@@ -35,7 +35,7 @@ from benchmarks.speed.startup import children
 from benchmarks.speed.startup import salad as command
 from salad.geo import GeoPoint
 from salad.images.exif import save_jpeg
-from salad.images.photo import photos_in
+from salad.images.finding import find_photos
 from salad.images.worker_process import read
 from salad.processors import processors
 
@@ -111,7 +111,7 @@ class Run:
 def make_photos(folder: Path, source: Path, size: tuple[int, int], count: int) -> None:
     """Photos of a size, of other photos that lie in and below a folder."""
     rng = np.random.default_rng(SEED)
-    chosen = rng.permutation(np.array(photos_in(source), dtype=object))[:DISTINCT]
+    chosen = rng.permutation(np.array(find_photos([source]), dtype=object))[:DISTINCT]
     folder.mkdir(parents=True)
     for number, path in enumerate(chosen):
         with Image.open(path) as opened:

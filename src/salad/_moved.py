@@ -50,6 +50,8 @@ MOVED_NAMES = {  # by themselves, whatever the table above says of their module
     "salad.index.Match": "salad.index.index.Match",
     "salad.index.index_photos": "salad.index.build.index_photos",
     "salad.photos.MAX_PIXELS": "salad.images.decode.MAX_PIXELS",
+    "salad.photos.SUFFIXES": "salad.images.finding.SUFFIXES",
+    "salad.photos.find_photos": "salad.images.finding.find_photos",
     "salad.photos.PhotoTable": "salad.images.photo_table.PhotoTable",
     "salad.photos.Position": "salad.images.metadata.Position",
     "salad.photos.at_name": "salad.images.at_names.at_name",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -93,6 +94,78 @@ def test_an_empty_folder_prunes_nothing(cli: Any, asked: Any, home: Path, tmp_pa
     assert ran.code == 2
     assert "holds no photos" in ran.err
     assert len(held(tmp_path / "city")) == 6
+
+
+def test_a_folder_whose_disk_is_away_keeps_its_photos(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    """The place where a disk is put stays, empty; beside it photos may come and go."""
+    disk, city = home / "disk", tmp_path / "city"
+    disk.mkdir()
+    for path in sorted(home.glob("*.jpg"))[:3]:
+        path.rename(disk / path.name)
+    cli("index", home, "--to", city)
+    for path in disk.iterdir():
+        path.unlink()
+    told = cli("index", home, "--to", city, "--prune")
+    assert told.code == 2
+    assert f"a disk may not be there: {disk} is empty, and 3 photos of it are gone" in told.err
+    assert len(held(city)) == 6
+    assert cli("index", home, "--to", city).code == 0  # only dropping needs to be sure
+    ran = cli("index", home, "--to", city, "--prune-all")
+    assert (ran.code, ran.err.count("it was dropped")) == (0, 3)
+    assert len(held(city)) == 3
+
+
+def test_all_photos_of_a_folder_are_not_dropped_at_once(
+    cli: Any, asked: Any, photos: Any, home: Path, tmp_path: Path
+) -> None:
+    """What shows at the place of a disk may be other photos, which were put there while it was away."""
+    city = tmp_path / "city"
+    cli("index", home, "--to", city)
+    for path in home.iterdir():
+        path.unlink()
+    shutil.copy(photos.query[0], home / "new.jpg")
+    told = cli("index", home, "--to", city, "--prune")
+    assert told.code == 2
+    assert f"all 6 photos that the index holds of {home} are gone" in told.err
+    assert len(held(city)) == 7  # what is new is in it all the same
+
+
+def test_photos_that_all_moved_are_not_gone(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    cli("index", home, "--to", tmp_path / "city")
+    (home / "2024").mkdir()
+    for path in home.glob("*.jpg"):
+        path.rename(home / "2024" / path.name)
+    ran = cli("index", home, "--to", tmp_path / "city", "--prune")
+    assert (ran.code, len(held(tmp_path / "city"))) == (0, 6)
+
+
+def test_an_empty_folder_is_forgotten_where_all_is_to_be(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    cli("index", home, "--to", tmp_path / "city")
+    for path in home.iterdir():
+        path.unlink()
+    assert cli("index", home, "--to", tmp_path / "city", "--prune-all").code == 0
+    assert held(tmp_path / "city") == []
+
+
+def test_what_was_passed_over_is_counted(
+    cli: Any, asked: Any, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("film.MP4", "b.mp4", "raw.cr2", "@eaDir/thumb.jpg", "shut/in.jpg", "drawn.png"):
+        (home / name).parent.mkdir(exist_ok=True)
+        (home / name).write_bytes(b"x")
+    whole = os.scandir
+
+    def locked(path: Any) -> Any:
+        if os.fspath(path) == str(home / "shut"):
+            raise PermissionError(13, "Permission denied", path)
+        return whole(path)
+
+    monkeypatch.setattr("os.scandir", locked)
+    ran = cli("index", home, "--to", tmp_path / "city", "--exclude", "*.png", "--exclude", "[-]dash*")
+    assert ran.code == 0
+    assert "passed over: 2 .mp4, 2 by --exclude, 1 .cr2, 1 @eaDir" in ran.err
+    assert f"the folder {home / 'shut'} cannot be read (Permission denied): check who may read it" in ran.err
+    assert "5 photos added, 0 there already, 0 unreadable" in ran.err
 
 
 def test_an_interrupt_says_how_far_it_got(

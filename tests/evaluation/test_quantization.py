@@ -15,7 +15,7 @@ from salad.evaluation import quantization
 from salad.evaluation.quantization import quantize
 from salad.geo import GeoPoint, shifted
 from salad.images.exif import save_jpeg
-from salad.images.photo import find_photos
+from salad.images.finding import find_photos
 from salad.models.describer import Describer
 from salad.models.fake import FakeEngine
 from salad.network.aggregator_config import SaladConfig

@@ -21,7 +21,8 @@ from salad.geo import GeoPoint, metres_between
 from salad.images import decode
 from salad.images.decode import open_rgb
 from salad.images.exif import read_exif, save_jpeg
-from salad.images.photo import find_photos, read_photo
+from salad.images.finding import find_photos
+from salad.images.photo import read_photo
 
 COLOURS = (np.indices((48, 64)).sum(axis=0)[:, :, None] * [1, 2, 0] % 256).astype(np.uint8)
 

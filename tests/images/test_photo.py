@@ -1,10 +1,8 @@
-"""Finding photos, and what is known of each."""
+"""What is known of a photo, and which it is."""
 
 from __future__ import annotations
 
-import io
 import os
-import sys
 import tempfile
 import unicodedata
 from datetime import datetime
@@ -22,7 +20,7 @@ from salad.images.at_names import at_name
 from salad.images.decode import open_rgb
 from salad.images.exif import save_jpeg
 from salad.images.metadata import Position
-from salad.images.photo import Photo, content_hash, find_photos, read_photo
+from salad.images.photo import Photo, content_hash, read_photo
 from salad.images.photo_table import PhotoTable
 
 HERE = GeoPoint(37.7126, -122.4855)
@@ -34,86 +32,6 @@ def files(root: Path, *names: str) -> list[Path]:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(b"x")
     return [root / name for name in names]
-
-
-# --- finding -------------------------------------------------------------------------------
-
-
-def test_folders_are_walked_in_order_and_only_photos_taken(tmp_path: Path) -> None:
-    expected = files(tmp_path, "a @b/2.JPG", "a @b/x y.png", "b/c/写真.webp", "b/é.jpeg", "z.HEIC")
-    files(tmp_path, "notes.txt", ".hidden.jpg", ".cache/1.jpg", "b/._é.jpeg", "b/jpg")
-    (tmp_path / "folder.jpg").mkdir()
-    assert find_photos([tmp_path]) == expected
-    assert find_photos([str(tmp_path)]) == expected
-
-
-def test_links_are_followed_but_not_in_circles(tmp_path: Path) -> None:
-    [photo] = files(tmp_path, "real/1.jpg")
-    (tmp_path / "real/loop").symlink_to(tmp_path / "real")
-    (tmp_path / "walk").mkdir()
-    (tmp_path / "walk/there").symlink_to(tmp_path / "real")
-    (tmp_path / "walk/gone.jpg").symlink_to(tmp_path / "nowhere")
-    assert find_photos([tmp_path / "real"]) == [photo]
-    # a photo that cannot be opened is found all the same, so that it is named and not passed over in silence
-    assert find_photos([tmp_path / "walk"]) == [tmp_path / "walk/gone.jpg", tmp_path / "walk/there/1.jpg"]
-
-
-def test_each_photo_once_in_the_order_of_sources(tmp_path: Path) -> None:
-    one, two = files(tmp_path, "1.jpg", "2.jpg")
-    assert find_photos([two, tmp_path, one]) == [two, one]
-
-
-def test_a_file_given_by_name_is_taken_whatever_its_suffix(tmp_path: Path) -> None:
-    assert find_photos(files(tmp_path, "scan.dat")) == [tmp_path / "scan.dat"]
-
-
-def test_a_list_on_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one, two, three = files(tmp_path, "a b.jpg ", "folder/2.jpg", "3.jpg")
-    text = f"\ufeff{one}\r\n\n{two.parent}\n"
-    assert find_photos(["-", three], stdin=io.StringIO(text)) == [one, two, three]
-    monkeypatch.setattr(sys, "stdin", io.StringIO(str(three)))
-    assert find_photos(["-"]) == [three]
-
-
-def test_a_list_that_is_no_text() -> None:
-    with pytest.raises(PhotoError, match="not text"):
-        find_photos(["-"], stdin=io.TextIOWrapper(io.BytesIO(b"\xff\xfe\xfa"), encoding="utf-8"))
-
-
-def test_missing_sources_and_empty_folders_are_said(tmp_path: Path) -> None:
-    with pytest.raises(PhotoError, match=r"no photo at .*gone\.jpg"):
-        find_photos([tmp_path / "gone.jpg"])
-    with pytest.raises(PhotoError, match="holds no photos"):
-        find_photos([tmp_path])
-    with pytest.raises(PhotoError, match="no photos are named"):
-        find_photos([])
-    with pytest.raises(PhotoError, match="no photos are named"):
-        find_photos(["-"], stdin=io.StringIO("\n"))
-
-
-def test_names_that_no_system_takes_and_links_to_themselves_are_said(tmp_path: Path) -> None:
-    (tmp_path / "self.jpg").symlink_to("self.jpg")
-    (tmp_path / "to.jpg").symlink_to("fro.jpg")
-    (tmp_path / "fro.jpg").symlink_to("to.jpg")
-    loops = find_photos([tmp_path])  # found, so that each is named and not passed over in silence
-    assert [path.name for path in loops] == ["fro.jpg", "self.jpg", "to.jpg"]
-    for path in (*loops, tmp_path / ("x" * 5000), tmp_path / "a\0b.jpg", tmp_path / "fro.jpg" / "a.jpg"):
-        with pytest.raises(PhotoError, match="no photo at"):
-            find_photos([path])
-        with pytest.raises(PhotoError, match="no photo at"):
-            read_photo(path)
-
-
-def test_a_folder_that_cannot_be_read_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def locked(path: object) -> object:
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr("os.scandir", locked)
-    with pytest.raises(PhotoError, match=r"cannot be read \(Permission denied\)"):
-        find_photos([tmp_path])
-
-
-# --- what is known -------------------------------------------------------------------------
 
 
 def test_save_and_read_again_to_the_centimetre(tmp_path: Path) -> None:

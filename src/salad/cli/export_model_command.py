@@ -30,11 +30,11 @@ class ExportModelCommand:
 
     def run(self) -> int:
         """Export."""
-        from salad.images.photo import find_photos
+        from salad.images.finding import find_photos
         from salad.models.model_folder import load, write_onnx
 
         if self.to.exists():  # said before the work, not after it
             raise WeightsError(f"{self.to} exists already; choose another file, or remove it first")
-        photos = [] if self.photos is None else find_photos([str(self.photos)])
+        photos = [] if self.photos is None else find_photos([self.photos], on_unreadable=terminal.say)
         terminal.write(str(write_onnx(load(self.model), self.to, photos, normalised=self.normalised)))
         return terminal.FOUND

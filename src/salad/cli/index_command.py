@@ -6,12 +6,12 @@ imports what it needs when it runs, so that a command line that is only looked a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from salad.cli import terminal
 from salad.cli.arguments import (
@@ -29,7 +29,7 @@ from salad.cli.arguments import (
     unless_there,
 )
 from salad.cli.compress_command import keep_compressed
-from salad.errors import SaladError
+from salad.errors import SaladError, StoreError
 
 if TYPE_CHECKING:
     from salad.images.photo_table import PhotoTable
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from salad.models.describer import DescriberLike
 
 
+Patterns = Annotated[tuple[str, ...], arg(metavar="PATTERN", help_behavior_hint=""), UseAppendAction]
 Exported = Annotated[Path | None, arg(name="from", metavar="DIR", help_behavior_hint="")]
 
 
@@ -52,8 +53,12 @@ class IndexCommand:
     """A name of the zoo, a folder or a published file; by default the index's own, else salad-lite."""
     table: Table = None
     """A CSV or Parquet table path,lat,lon[,heading,time] for photos that carry no position themselves."""
+    exclude: Patterns = ()
+    """Leave out files and folders of this name, or path below a folder given: '*.png', 'raw/*'. Again for more."""
     prune: bool = False
     """Forget the photos of the folders given whose files are gone; without it they are only told."""
+    prune_all: bool = False
+    """As --prune, which stops where a whole folder has become empty, as one does whose disk is not there."""
     from_: Exported = None
     """Take what `salad export` wrote, or another tool's .npy and table (name their model), in place of PHOTOS."""
     device: str = "cpu"
@@ -65,7 +70,7 @@ class IndexCommand:
 
     def run(self) -> int:
         """Index the photos."""
-        from salad.images.photo import find_photos
+        from salad.images.finding import look_through
 
         if self.from_ is not None:
             return self._take(self.from_)
@@ -75,24 +80,33 @@ class IndexCommand:
         positive(self.batch_size, "--batch-size")
         check_threads(self.threads)
         sources = list(terminal.expand_stdin(self.photos))  # kept: stdin can be read but once
-        paths = find_photos(sources)
+        found = look_through(sources, exclude=self.exclude, allow_empty=self.prune_all)
+        paths = found.photos
         prepare()  # what reads the photos starts while the model loads
         table = read_positions(self.table)
         named = self.model or model_name_for(self.to)
         model = load(named, device=self.device, engine=self.engine, threads=self.threads)
         settle_engine(model, len(paths))
         with open_or_create(self.to, model) as index:
+            # Only who names a folder says that its photos are all there are in it.
+            before = {Path(source): index.count_below(source) for source in sources if Path(source).is_dir()}
             done = self._describe(paths, index, model, table)
-            gone = self._vanished(index, [source for source in sources if Path(source).is_dir()])
+            gone, doubts = self._vanished(index, before)
             keep_compressed(index)
             held, placed = len(index), index.info().with_position
         # After the bar, which lines in between would tear apart.
-        for sentence in (*done.twins, *done.unreadable, *gone):
+        for sentence in (*found.unreadable.values(), *done.twins, *done.unreadable, *gone):
             terminal.say(sentence)
+        if counted := found.counted():
+            terminal.say(f"passed over: {counted}")
         terminal.say(f"{self.to}: {done.added} photos added, {done.skipped} there already, "
                   f"{len(done.unreadable)} unreadable; it holds {held}, {placed} with a position")  # fmt: skip
+        if doubts:
+            raise StoreError(
+                f"nothing was dropped, since a disk may not be there: {'; '.join(doubts)}. Mount it, or say --prune-all"
+            )
         # Where not one photo of all could be read, something is wrong with what was given, not with a photo.
-        return terminal.FOUND if done.added or done.skipped else terminal.BAD_INPUT
+        return terminal.FOUND if done.added or done.skipped or not paths else terminal.BAD_INPUT
 
     def _describe(self, paths: Sequence[Path], index: Index, model: DescriberLike, table: PhotoTable | None) -> Indexed:
         from salad.index.build import index_photos
@@ -120,21 +134,32 @@ class IndexCommand:
                 terminal.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
                 raise
 
-    def _vanished(self, index: Index, folders: Sequence[str]) -> list[str]:
-        """A sentence for each photo of these folders whose file is gone; forgotten where that is asked for."""
-        if not folders:  # only who names a folder says that its photos are all there are in it
-            return []
-        gone = index.remove_missing(folders) if self.prune else index.missing(folders)
-        fate = "it was dropped" if self.prune else "--prune drops it from the index"
-        return terminal.first_few([f"{path} is gone: {fate}" for path in gone], what="are gone")
+    def _vanished(self, index: Index, before: Mapping[Path, int]) -> tuple[list[str], list[str]]:
+        """A sentence for each photo whose file is gone, forgotten where that is asked for; and why it must not be.
+
+        Args:
+            index: What holds them.
+            before: Of each folder given, how many photos the index held below it before this run.
+        """
+        from salad.index.vanished import disk_may_be_away
+
+        gone = index.missing(list(before)) if before else []
+        doubts = disk_may_be_away(gone, before) if self.prune and not self.prune_all else []
+        drop = (self.prune or self.prune_all) and not doubts
+        if drop and gone:
+            gone = index.remove_missing(list(before))
+        fate = "it was dropped" if drop else "it is still in the index" if doubts else "--prune drops it from the index"
+        return terminal.first_few([f"{path} is gone: {fate}" for path in gone], what="are gone"), doubts
 
     def _take(self, folder: Path) -> int:
         """Take in what `salad export` or another tool wrote."""
         from salad.index.index import Index
         from salad.index.transfer import take, take_as_new
 
-        if self.photos or self.table or self.prune:
-            raise SaladError("--from takes photos and positions from its folder: leave out PHOTOS, --table and --prune")
+        if self.photos or self.table or self.exclude or self.prune or self.prune_all:
+            raise SaladError(
+                "--from takes photos and positions from its folder: leave out PHOTOS, --table, --exclude and --prune"
+            )
         added = unless_there(self.to, lambda: take_as_new(self.to, folder, model=self.model))
         with Index.open(self.to) as index:
             if added is None:

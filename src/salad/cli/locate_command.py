@@ -143,7 +143,7 @@ class LocateCommand:
 
     def run(self) -> int:
         """Locate the photos."""
-        from salad.images.photo import find_photos
+        from salad.images.finding import find_photos
         from salad.images.workers import prepare
 
         # Whatever can be refused is refused now: a drive may take an hour to locate.
@@ -153,7 +153,7 @@ class LocateCommand:
             raise SaladError(f"--min-confidence {self.min_confidence} is not between 0 and 1")
         if not 0 < self.radius <= 1e6:
             raise SaladError(f"--radius {self.radius} makes no place: give metres, above 0")
-        paths = find_photos(self.photos)
+        paths = find_photos(self.photos, on_unreadable=terminal.say)
         prepare()  # what reads the photos starts while the model loads
         if self.write_exif:
             check_folder(self.write_exif, paths)

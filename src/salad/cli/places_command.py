@@ -75,7 +75,8 @@ class PlacesCommand:
     def _read_photos(self) -> list[Photo]:
         """All photos with where, which way and when they were taken."""
         from salad.datasets.readers.gsv_cities import is_gsv_cities
-        from salad.images.photo import find_photos, placed
+        from salad.images.finding import find_photos
+        from salad.images.photo import placed
         from salad.images.workers import Workers
 
         names = list(terminal.expand_stdin(self.photos))
@@ -86,7 +87,7 @@ class PlacesCommand:
                 f"{known} is laid out like GSV-Cities, so its places are known: train on it as it is with "
                 f"`salad train --data {known}`, or name a table of positions with --table to find others"
             )
-        paths = find_photos(names)
+        paths = find_photos(names, on_unreadable=terminal.say)
         table = read_positions(self.table)
         photos: list[Photo] = []
         with Workers(len(paths)) as workers, terminal.progress("looking") as bar:

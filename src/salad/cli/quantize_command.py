@@ -37,12 +37,12 @@ class QuantizeCommand:
     def run(self) -> int:
         """Quantize."""
         from salad.evaluation.quantization import quantize
-        from salad.images.photo import find_photos
+        from salad.images.finding import find_photos
         from salad.models.model_folder import load, write_folder
 
         if self.to.exists():  # said before the work, not after it
             raise WeightsError(f"{self.to} exists already; choose another folder, or remove it first")
-        paths = find_photos(terminal.expand_stdin(self.photos))
+        paths = find_photos(terminal.expand_stdin(self.photos), on_unreadable=terminal.say)
         table = read_positions(self.table)
         model = load(self.model, engine="openvino")
         with terminal.progress("judging") as bar:

@@ -48,7 +48,7 @@ def expand_stdin(names: Iterable[str]) -> Iterator[str]:
         if name != "-":
             yield name
         else:
-            from salad.images.photo import listed
+            from salad.images.finding import listed
 
             yield from map(str, listed(sys.stdin))
 

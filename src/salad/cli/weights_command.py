@@ -188,10 +188,10 @@ class WriteGraph:
 
 def _with_graph(folder: Path, photos: Path | None) -> Path:
     """Export a model, checked on photos of a folder where one is named."""
-    from salad.images.photo import find_photos
+    from salad.images.finding import find_photos
     from salad.models.model_folder import add_graph
 
-    return add_graph(folder, [] if photos is None else find_photos([str(photos)]))
+    return add_graph(folder, [] if photos is None else find_photos([photos], on_unreadable=terminal.say))
 
 
 @dataclass(frozen=True)

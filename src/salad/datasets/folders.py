@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from salad.errors import BenchmarkError
-from salad.images.photo import SUFFIXES, find_photos
+from salad.images.finding import SUFFIXES, find_photos
 
 SIDES = (  # what people call the folders of references and of queries
     ("database", "queries"),

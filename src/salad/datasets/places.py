@@ -26,7 +26,7 @@ from salad.datasets.training_place import FEWEST, PlaceRow, Say, TrainingPlace, 
 from salad.errors import BenchmarkError, PositionError
 from salad.files import write_whole
 from salad.geo import GeoPoint
-from salad.images.photo import SUFFIXES
+from salad.images.finding import SUFFIXES
 from salad.tables import CsvError, csv_line, number, read_csv
 
 PLACES_TABLE = "places.csv"

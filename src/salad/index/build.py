@@ -97,7 +97,7 @@ def index_photos(
     named.
 
     Args:
-        sources: Files, as `photos.find_photos` lists them.
+        sources: Files, as `salad.images.finding.find_photos` lists them.
         index: Where to; it must have been made with `model`.
         model: What describes them.
         table: Positions of photos, before `@` names and EXIF.

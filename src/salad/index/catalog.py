@@ -300,15 +300,12 @@ class Catalog(Database):
 
     def remove(self, path: Path) -> int:
         """Remove the photo at `path`, or all those below it; how many."""
-        # All paths below a folder lie between it with a separator behind, and with the character after that: so the
-        # table's order of paths finds them, and no pattern must be escaped.
-        below = os.fsencode(path).rstrip(os.sep.encode())
-        bounds = {
-            "path": os.fsencode(path),
-            "low": below + os.sep.encode(),
-            "high": below + chr(ord(os.sep) + 1).encode(),
-        }
-        return self._run(f"{REMOVE} AND {BELOW}", bounds).rowcount
+        return self._run(f"{REMOVE} AND {BELOW}", _bounds(path)).rowcount
+
+    def count_below(self, path: Path) -> int:
+        """How many photos can be found at `path`, or below it."""
+        found = self._run(f"SELECT COUNT(*) FROM photos WHERE removed = 0 AND {BELOW}", _bounds(path))
+        return int(found.fetchone()[0])
 
     def renumber(self, rows: npt.NDArray[np.int64], sums: npt.NDArray[np.int64]) -> None:
         """Keep the photos of `rows`, ascending, forget all others, and number them from 0 in their order.
@@ -378,3 +375,17 @@ class Catalog(Database):
                     "photos again"
                 )
         self._run("SELECT rowid FROM photos LIMIT 0")
+
+
+def _bounds(path: Path) -> dict[str, bytes]:
+    """What `BELOW` wants to know.
+
+    All paths below a folder lie between it with a separator behind, and with the character after that: so the table's
+    order of paths finds them, and no pattern must be escaped.
+    """
+    below = os.fsencode(path).rstrip(os.sep.encode())
+    return {
+        "path": os.fsencode(path),
+        "low": below + os.sep.encode(),
+        "high": below + chr(ord(os.sep) + 1).encode(),
+    }

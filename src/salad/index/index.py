@@ -410,6 +410,12 @@ class Index:
         asked = (path for path in paths if not roots or any(path.is_relative_to(root) for root in roots))
         return [path for path in asked if index_folder.is_gone(path)]
 
+    def count_below(self, folder: str | Path) -> int:
+        """How many photos the index holds below a folder."""
+        (home,) = index_folder.resolved([folder])
+        with self._catalog.reading():
+            return self._catalog.count_below(home)
+
     def info(self) -> IndexInfo:
         """What the index holds, in numbers."""
         return verify.survey(self.folder, self.header, self._catalog)
