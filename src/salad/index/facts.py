@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 from salad.errors import PositionError
 from salad.geo import GeoPoint
 from salad.images.photo import Photo
+from salad.images.photo_table import LONGEST_PATH
 from salad.index.database import shortened
 
 COLUMNS = "row, path, lat, lon, heading, time, identity, source, removed, facts"
 """What `known_of_row` reads."""
 UNKNOWN = -1
 """In place of a checksum that was never written."""
-
-_LONGEST = 1 << 15  # letters of a path, the most that any system takes
 
 
 class Known(NamedTuple):
@@ -73,7 +72,7 @@ def known_of_row(row: Sequence[Any]) -> Known:
     """
     number, path, lat, lon, heading, time, identity, source, removed, noted = row
     name = path if isinstance(path, str) else os.fsdecode(path) if isinstance(path, bytes) else str(path)
-    told = Photo(Path(name if len(name) <= _LONGEST else shortened(name)))
+    told = Photo(Path(name if len(name) <= LONGEST_PATH else shortened(name)))
     content = identity if isinstance(identity, str) else ""
     if noted != UNKNOWN and noted != _expected(row):
         return Known(number, told, content, None, _sentence(name, "record"))
@@ -86,7 +85,7 @@ def known_of_row(row: Sequence[Any]) -> Known:
             taken = datetime.fromisoformat(time)
     turned = heading if isinstance(heading, float) and 0 <= heading <= 360 else None
     wrong = {
-        "path": not isinstance(path, str) or "\0" in path or len(path) > _LONGEST,
+        "path": not isinstance(path, str) or "\0" in path or len(path) > LONGEST_PATH,
         "position": (lat, lon) != (None, None) and where is None,
         "heading": heading is not None and turned is None,
         "time": time is not None and taken is None,
