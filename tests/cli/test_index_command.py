@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
 import subprocess
@@ -14,6 +15,9 @@ import numpy as np
 import pytest
 
 from salad.errors import StoreError
+from salad.geo import GeoPoint
+from salad.images.exif import save_jpeg
+from salad.images.metadata import NOTHING_SAID
 from salad.index import index_folder, transfer
 from salad.index.index import Index
 from salad.index.transfer import export
@@ -31,6 +35,11 @@ def held(folder: Path) -> list[str]:
 def home(photos: Any, tmp_path: Path) -> Path:
     """A folder of six photos that a test may change."""
     return Path(shutil.copytree(photos.references, tmp_path / "home"))
+
+
+def drawn(path: Path, seed: int, *, where: GeoPoint | None = None) -> None:
+    """A photo whose content no other seed has."""
+    save_jpeg(np.random.default_rng(seed).integers(0, 256, (8, 8, 3), dtype=np.uint8), path, where=where)
 
 
 def test_what_vanished_is_told_and_kept(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
@@ -186,6 +195,68 @@ def test_an_interrupt_says_how_far_it_got(
     assert "4 of 6 photos were done; it holds 4" in ran.err
     assert "interrupted" in ran.err
     assert "2 photos added, 4 there already" in cli(*command).err
+
+
+# --- the report ----------------------------------------------------------------------------
+
+
+def test_the_report_says_which_photos_have_no_position(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    for number in range(5):
+        drawn(home / f"{number}.jpg", number, where=GeoPoint(0, 0) if number == 1 else None)
+    ran = cli("index", home, "--to", tmp_path / "city")
+    assert f"5 photos have no position: 0.jpg ({NOTHING_SAID}), 1.jpg (its EXIF says 0,0, which counts as" in ran.err
+    assert "and 2 more\n" in ran.err
+    (tmp_path / "places.csv").write_text(f"path,lat,lon\n{home}/0.jpg,47.5,8.5\n")
+    ran = cli("index", home, "--to", tmp_path / "city", "--table", tmp_path / "places.csv")
+    assert "1 position changed; the first: 0.jpg, none -> 47.5,8.5" in ran.err
+    assert "4 photos have no position" in ran.err
+
+
+def test_a_list_names_every_photo_and_what_else_was_met(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    drawn(home / "=cmd().jpg", 1)
+    shutil.copy(home / "=cmd().jpg", home / "copy.jpg")
+    for name in ("film.mp4", "broken.jpg", "thumbs/1.jpg"):
+        (home / name).parent.mkdir(exist_ok=True)
+        (home / name).write_bytes(b"x")
+    assert cli("index", home, "--to", tmp_path / "city", "--list", tmp_path / "list.csv").code == 0
+    with (tmp_path / "list.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["path"] for row in rows] == sorted(str(path) for path in home.iterdir())
+    told = {Path(row["path"]).name: row for row in rows}
+    assert [told["東京駅 2.jpg"][name] for name in ("heading", "time", "source", "state")] == [
+        *("30.0", "2024-05-02T12:00:00", "exif", "added")
+    ]
+    assert abs(float(told["東京駅 2.jpg"]["lat"]) - 48.1018) < 1e-4
+    for name, state, remark in (
+        ("=cmd().jpg", "added", NOTHING_SAID),
+        ("copy.jpg", "copy", "is a copy of"),
+        ("broken.jpg", "unreadable", "broken.jpg"),
+        ("film.mp4", "passed over", "files that end in .mp4 are not read"),
+        ("thumbs", "passed over", "thumbnails"),
+    ):
+        assert (told[name]["state"], told[name]["lat"], remark in told[name]["remark"]) == (state, "", True)
+
+
+def test_a_list_is_written_whole_or_not_at_all_and_takes_no_photos_place(
+    cli: Any, asked: Any, home: Path, tmp_path: Path
+) -> None:
+    for name in (sorted(home.iterdir())[0], tmp_path / "no folder" / "list.csv", home):
+        ran = cli("index", home, "--to", tmp_path / "city", "--list", name)
+        assert (ran.code, "--list" in ran.err) == (2, True)
+    assert not (tmp_path / "city").exists()  # said before any work
+
+
+def test_what_another_tool_has_at_null_island_is_told(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    cli("index", home, "--to", tmp_path / "city")
+    with Index.open(tmp_path / "city") as index:
+        export(index, tmp_path / "out")
+    table = tmp_path / "out" / "photos.csv"
+    head, first, *others = table.read_text(encoding="utf-8").splitlines(keepends=True)
+    path, _, _, rest = first.split(",", 3)
+    table.write_text("".join([head, f"{path},0,0,{rest}", *others]), encoding="utf-8")
+    ran = cli("index", "--from", tmp_path / "out", "--to", tmp_path / "again")
+    assert f"1 at 0,0, which counts as no position; the first is {Path(path).name}" in ran.err
+    assert "it holds 6, 5 with a position" in ran.err
 
 
 # --- --from --------------------------------------------------------------------------------

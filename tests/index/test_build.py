@@ -5,8 +5,10 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,12 +20,15 @@ from PIL import Image
 
 from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.geo import GeoPoint
+from salad.images.exif import save_jpeg
+from salad.images.metadata import NOTHING_SAID
 from salad.images.photo import Photo, content_hash
 from salad.images.photo_table import PhotoTable
 from salad.images.worker_process import PhotoRead
 from salad.images.workers import Pool, Workers
 from salad.index import build
-from salad.index.build import index_photos
+from salad.index.build import Outcome, index_photos
+from salad.index.changes import Changes
 from salad.index.index import Index
 from salad.models.fake import FakeDescriber
 from tests.swapping import WAYS, at_each_step
@@ -133,6 +138,77 @@ def test_positions_come_from_a_table_and_stay(index: Index, photos: list[Path], 
     assert (done.added, done.skipped, done.moved) == (1, 2, 0)
     index_photos(photos[:3], index, FakeDescriber())
     assert [held.where for held in index.photos()] == [GeoPoint(n, 7) for n in range(3)]
+
+
+def test_what_a_table_said_outlives_what_the_photos_say(index: Index, tmp_path: Path) -> None:
+    """Position, heading and time; until another table comes."""
+    path, table = tmp_path / "a.jpg", tmp_path / "places.csv"
+    save_jpeg(np.full((4, 6, 3), 128, np.uint8), path, where=GeoPoint(1, 1), heading=10.0, time=datetime(2024, 1, 1))
+    for lat in (50, 60):
+        table.write_text(f"path,lat,lon,heading,time\na.jpg,{lat},7,20,2023-05-01T12:00\n")
+        index_photos([path], index, FakeDescriber(), table=PhotoTable.read(table))
+        assert index_photos([path], index, FakeDescriber()).changes == Changes()
+        (held,) = index.photos()
+        assert held == Photo(path, GeoPoint(lat, 7), 20.0, datetime(2023, 5, 1, 12))
+        assert held.source == "table"
+
+
+def test_who_says_where_is_kept_and_no_change_of_position(index: Index, tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    save_jpeg(np.full((4, 6, 3), 128, np.uint8), path, where=GeoPoint(1, 1))
+    index.add([Photo(path, GeoPoint(1, 1))], FakeDescriber().describe([path]), identities=[content_hash(path)])
+    assert [held.source for held in index.photos()] == [None]  # as an earlier version wrote it
+    assert not str(index_photos([path], index, FakeDescriber()).changes)
+    assert [held.source for held in index.photos()] == ["exif"]
+
+
+def test_photos_without_a_position_are_counted_with_the_reason(index: Index, photos: list[Path]) -> None:
+    placed = photos[0].with_name("placed.jpg")
+    save_jpeg(np.full((4, 6, 3), 128, np.uint8), placed, where=GeoPoint(1, 1))
+    zero = photos[0].with_name("0.jpg")
+    save_jpeg(np.full((4, 6, 3), 129, np.uint8), zero, where=GeoPoint(0, 0))
+    for _ in range(2):  # when they are added, and when they are there already
+        done = index_photos([zero, placed, *photos], index, FakeDescriber(), batch_size=4)
+        assert done.unplaced == 21
+        assert len(done.first_unplaced) == 3
+        assert done.first_unplaced[0] == "0.jpg (its EXIF says 0,0, which counts as no position)"
+        assert done.first_unplaced[1] == f"00.png ({NOTHING_SAID})"
+
+
+def test_the_outcome_of_each_photo_is_told_once(index: Index, photos: list[Path]) -> None:
+    copy, empty = photos[0].with_name("copy.png"), photos[0].with_name("empty.jpg")
+    copy.write_bytes(photos[0].read_bytes())
+    empty.touch()
+    index_photos(photos[:5], index, FakeDescriber())
+    moved = photos[1].rename(photos[1].with_name("moved.png"))
+    given = [photos[0], copy, moved, *photos[2:], empty]
+    told: list[Outcome] = []
+    done = index_photos(given, index, FakeDescriber(), batch_size=3, on_photo=told.append)
+    states = {each.photo.path.name: each.state for each in told}
+    assert len(told) == len(given)
+    assert [states[name] for name in ("00.png", "copy.png", "moved.png", "04.png", "05.png", "empty.jpg")] == [
+        *("held", "copy", "held", "held", "added", "unreadable")
+    ]
+    counted = Counter(each.state for each in told)
+    assert (counted["added"], counted["held"] + counted["copy"]) == (done.added, done.skipped)
+    assert {each.why for each in told if each.state in ("copy", "unreadable")} == {*done.twins, *done.unreadable}
+
+
+def test_copies_in_one_commit_are_told_as_such(index: Index, photos: list[Path]) -> None:
+    copy = photos[0].with_name("copy.png")
+    copy.write_bytes(photos[0].read_bytes())
+    told: list[Outcome] = []
+    index_photos([*photos, copy], index, FakeDescriber(), on_photo=told.append)
+    assert Counter(each.state for each in told) == {"added": 20, "copy": 1}
+
+
+def test_photos_at_null_island_lose_that_and_are_counted(index: Index, tmp_path: Path) -> None:
+    path = tmp_path / "zero.jpg"
+    save_jpeg(np.full((4, 6, 3), 128, np.uint8), path, where=GeoPoint(0, 0))
+    index.add([Photo(path, GeoPoint(0, 0))], FakeDescriber().describe([path]), identities=[content_hash(path)])
+    done = index_photos([path], index, FakeDescriber())
+    assert str(done.changes) == "1 position changed; the first: zero.jpg, 0,0 -> none"
+    assert not str(index_photos([path], index, FakeDescriber()).changes)  # told once
 
 
 def test_many_stale_photos_are_brought_up_to_date_in_parts(

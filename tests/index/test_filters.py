@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from salad.errors import StoreError
-from salad.geo import GeoPoint, metres_between, shifted
+from salad.geo import GeoPoint, metres_between, null_island, shifted
 from salad.images.photo import Photo
 from salad.index import filter_sql
 from salad.index.catalog import Catalog
@@ -65,6 +66,8 @@ def earlier(one: datetime, other: datetime) -> bool:
 
 def passes(wanted: Filter, photo: Photo) -> bool:
     """The same, told plainly."""
+    if null_island(photo.where):
+        photo = replace(photo, where=None)
     if wanted.box is not None:
         if photo.where is None:
             return False

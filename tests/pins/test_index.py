@@ -20,7 +20,7 @@ import salad
 from pins.city import CITY, MODEL, NAMES, answers, descriptors, make, photos, queries
 from pins.where import recorded, salad_says, street
 
-COLUMNS = ["path", "lat", "lon", "heading", "time", "identity"]
+COLUMNS = ["path", "lat", "lon", "heading", "time", "identity", "source"]
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_it_can_be_exported_and_taken_back(city: Path, tmp_path: Path, form: str
             first, *lines = csv.reader(file)
         assert first == COLUMNS
         assert [Path(line[0]) for line in lines] == [one.path for n, one in enumerate(photos()) if n != 8]
-        assert lines[0] == ["/photos/a.jpg", "48.1", "11.5", "0.0", "2024-05-01T12:30:00+09:00", "0" * 32]
+        assert lines[0] == ["/photos/a.jpg", "48.1", "11.5", "0.0", "2024-05-01T12:30:00+09:00", "0" * 32, ""]
         assert lines[4][1:3] == ["", ""]
     else:
         told = json.loads((out / "photos.geojson").read_text(encoding="utf-8"))
@@ -130,7 +130,7 @@ def test_it_can_be_exported_and_taken_back(city: Path, tmp_path: Path, form: str
         first = told["features"][0]
         assert list(first) == ["type", "geometry", "properties"]
         assert first["geometry"] == {"type": "Point", "coordinates": [11.5, 48.1]}
-        assert list(first["properties"]) == ["path", "heading", "time", "identity"]
+        assert list(first["properties"]) == ["path", "heading", "time", "identity", "source"]
         assert told["features"][4]["geometry"] is None
     back = tmp_path / "back.index"
     assert salad_says("index", "--from", out, "--to", back).code == 0

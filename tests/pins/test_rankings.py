@@ -57,7 +57,7 @@ def index(rows: npt.NDArray[np.float32], tmp_path_factory: pytest.TempPathFactor
     known = [
         salad.Photo(
             Path(f"/photos/{row:04}.jpg"),
-            salad.GeoPoint(row / 1000, 0.0),
+            salad.GeoPoint(row / 1000, 0.5),
             time=datetime(2024, 1, 1) + timedelta(hours=row),
         )
         for row in range(MANY)

@@ -6,7 +6,7 @@ imports what it needs when it runs, so that a command line that is only looked a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,13 +32,15 @@ from salad.cli.compress_command import keep_compressed
 from salad.errors import SaladError, StoreError
 
 if TYPE_CHECKING:
+    from salad.images.photo import Photo
     from salad.images.photo_table import PhotoTable
-    from salad.index.build import Indexed
+    from salad.index.build import Indexed, Outcome
     from salad.index.index import Index
     from salad.models.describer import DescriberLike
 
 
 Patterns = Annotated[tuple[str, ...], arg(metavar="PATTERN", help_behavior_hint=""), UseAppendAction]
+ListFile = Annotated[Path | None, arg(name="list", metavar="FILE.csv", help_behavior_hint="")]
 Exported = Annotated[Path | None, arg(name="from", metavar="DIR", help_behavior_hint="")]
 
 
@@ -59,6 +61,8 @@ class IndexCommand:
     """Forget the photos of the folders given whose files are gone; without it they are only told."""
     prune_all: bool = False
     """As --prune, which stops where a whole folder has become empty, as one does whose disk is not there."""
+    list_: ListFile = None
+    """Write what was found of each photo, and why it has no position, into this table."""
     from_: Exported = None
     """Take what `salad export` wrote, or another tool's .npy and table (name their model), in place of PHOTOS."""
     device: str = "cpu"
@@ -70,6 +74,7 @@ class IndexCommand:
 
     def run(self) -> int:
         """Index the photos."""
+        from salad.cli.index_report import PhotoList, sentences
         from salad.images.finding import look_through
 
         if self.from_ is not None:
@@ -77,6 +82,7 @@ class IndexCommand:
         from salad.images.workers import prepare
         from salad.models.model_folder import load
 
+        listing = None if self.list_ is None else PhotoList(self.list_)
         positive(self.batch_size, "--batch-size")
         check_threads(self.threads)
         sources = list(terminal.expand_stdin(self.photos))  # kept: stdin can be read but once
@@ -90,15 +96,18 @@ class IndexCommand:
         with open_or_create(self.to, model) as index:
             # Only who names a folder says that its photos are all there are in it.
             before = {Path(source): index.count_below(source) for source in sources if Path(source).is_dir()}
-            done = self._describe(paths, index, model, table)
+            done = self._describe(paths, index, model, table, listing.note if listing else None)
             gone, doubts = self._vanished(index, before)
             keep_compressed(index)
             held, placed = len(index), index.info().with_position
         # After the bar, which lines in between would tear apart.
         for sentence in (*found.unreadable.values(), *done.twins, *done.unreadable, *gone):
             terminal.say(sentence)
-        if counted := found.counted():
-            terminal.say(f"passed over: {counted}")
+        for sentence in sentences(found, done):
+            terminal.say(sentence)
+        if listing:
+            listing.note_others(found)
+            listing.write()
         terminal.say(f"{self.to}: {done.added} photos added, {done.skipped} there already, "
                   f"{len(done.unreadable)} unreadable; it holds {held}, {placed} with a position")  # fmt: skip
         if doubts:
@@ -108,7 +117,14 @@ class IndexCommand:
         # Where not one photo of all could be read, something is wrong with what was given, not with a photo.
         return terminal.FOUND if done.added or done.skipped or not paths else terminal.BAD_INPUT
 
-    def _describe(self, paths: Sequence[Path], index: Index, model: DescriberLike, table: PhotoTable | None) -> Indexed:
+    def _describe(
+        self,
+        paths: Sequence[Path],
+        index: Index,
+        model: DescriberLike,
+        table: PhotoTable | None,
+        on_photo: Callable[[Outcome], None] | None,
+    ) -> Indexed:
         from salad.index.build import index_photos
 
         far = 0  # how far it came is told where it is stopped, since that much is in the index
@@ -129,6 +145,7 @@ class IndexCommand:
                     batch_size=self.batch_size,
                     threads=self.threads,
                     progress=report,
+                    on_photo=on_photo,
                 )
             except KeyboardInterrupt:
                 terminal.say(f"{self.to}: {far} of {len(paths)} photos were done; it holds {len(index)}")
@@ -156,15 +173,24 @@ class IndexCommand:
         from salad.index.index import Index
         from salad.index.transfer import take, take_as_new
 
-        if self.photos or self.table or self.exclude or self.prune or self.prune_all:
+        if self.photos or self.table or self.exclude or self.prune or self.prune_all or self.list_:
             raise SaladError(
-                "--from takes photos and positions from its folder: leave out PHOTOS, --table, --exclude and --prune"
+                "--from takes photos and positions from its folder: leave out PHOTOS, --table, --exclude, --list "
+                "and --prune"
             )
-        added = unless_there(self.to, lambda: take_as_new(self.to, folder, model=self.model))
+        zero: list[str] = []
+
+        def note(photo: Photo) -> None:
+            zero.append(photo.path.name)
+
+        added = unless_there(self.to, lambda: take_as_new(self.to, folder, model=self.model, on_null_island=note))
         with Index.open(self.to) as index:
             if added is None:
-                added = take(index, folder, model=self.model)
-            held = len(index)
+                zero.clear()  # whoever came first may have begun, too
+                added = take(index, folder, model=self.model, on_null_island=note)
+            held, placed = len(index), index.info().with_position
             keep_compressed(index)
-        terminal.say(f"{self.to}: {added} photos added from {folder}; it holds {held}")
+        if zero:
+            terminal.say(f"{folder}: {len(zero):,} at 0,0, which counts as no position; the first is {zero[0]}")
+        terminal.say(f"{self.to}: {added} photos added from {folder}; it holds {held}, {placed} with a position")
         return terminal.FOUND if held else terminal.NOTHING

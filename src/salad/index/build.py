@@ -20,17 +20,20 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from salad.errors import SaladError
 from salad.images.decode import Pixels
+from salad.images.metadata import NOTHING_SAID
 from salad.images.photo import Photo, content_hash, placed
 from salad.images.photo_table import PhotoTable
 from salad.images.worker_process import Size
 from salad.images.workers import Workers
+from salad.index.changes import Changes
+from salad.index.facts import with_news
 from salad.index.index import Index
 from salad.index.index_folder import resolved
 
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
 COMMIT_BATCHES = 8  # batches between commits: what a loss of power can cost
 _STALE = 1000  # photos to bring up to date in one commit
 _PAGE = 1000  # paths the index is asked about at once
+_FEW = 3  # photos named that know no position
 
 
 @dataclass(slots=True)
@@ -52,6 +56,9 @@ class Indexed:
         moved: Those of the skipped whose file had another path before, which was updated.
         twins: A sentence for each of the skipped that is a copy of another photo still in its place.
         unreadable: A sentence for each photo that could not be read.
+        unplaced: Photos given that are in the index now, and of which it knows no position.
+        first_unplaced: The first of them with the reason: `a.jpg (its EXIF says 0,0, which counts as no position)`.
+        changes: What the index says otherwise of the skipped.
     """
 
     added: int = 0
@@ -59,6 +66,27 @@ class Indexed:
     moved: int = 0
     twins: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
+    unplaced: int = 0
+    first_unplaced: list[str] = field(default_factory=list)
+    changes: Changes = field(default_factory=Changes)
+
+
+State = Literal["added", "held", "copy", "unreadable"]
+
+
+class Outcome(NamedTuple):
+    """What became of one photo.
+
+    Attributes:
+        photo: What is known of it now.
+        state: Whether it was added, was in the index already, is a copy of another photo that is in its place, or
+            could not be read.
+        why: Why it is a copy or cannot be read, or knows no position: a text, empty where there is nothing to say.
+    """
+
+    photo: Photo
+    state: State
+    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +117,7 @@ def index_photos(
     batch_size: int = 16,
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    on_photo: Callable[[Outcome], None] | None = None,
 ) -> Indexed:
     """Describe photos and add them to an index.
 
@@ -104,13 +133,14 @@ def index_photos(
         batch_size: Photos the model takes at a time.
         threads: Photos read at a time; one a processor where not given.
         progress: Called with (photos done, photos given) as they are done.
+        on_photo: Called with what became of each photo, in the order in which it is settled.
 
     Raises:
         WrongModelError: If the index was made with another model.
         StoreError: If the index cannot be written; what was committed before stays.
     """
     index.check_model(model)
-    run = _Run(index, model, len(sources), progress)
+    run = _Run(index, model, len(sources), progress, on_photo)
     to = model.preprocessing
     with Workers(len(sources), at_once=threads) as workers:
         read = partial(_read, workers, table, (to.height, to.width, to.resample))
@@ -142,10 +172,16 @@ class _Run:
     """One run of `index_photos`: what is counted so far, and what waits for the next commit."""
 
     def __init__(
-        self, index: Index, model: DescriberLike, total: int, progress: Callable[[int, int], None] | None
+        self,
+        index: Index,
+        model: DescriberLike,
+        total: int,
+        progress: Callable[[int, int], None] | None,
+        on_photo: Callable[[Outcome], None] | None,
     ) -> None:
         self.result = Indexed()
-        self._index, self._model, self._total, self._progress = index, model, total, progress
+        self._index, self._model, self._total = index, model, total
+        self._progress, self._on_photo = progress, on_photo
         self._stale: list[_Item] = []
         self._described: list[tuple[_Item, npt.NDArray[np.float32]]] = []
         self._done = 0
@@ -174,6 +210,7 @@ class _Run:
                     self._count(1)
                 elif item.trouble:
                     self.result.unreadable.append(item.trouble)
+                    self._tell(Outcome(item.photo, "unreadable", item.trouble))
                     self._count(1)
                 else:
                     yield item
@@ -207,12 +244,13 @@ class _Run:
         self._described = []
         self.result.added += added
         self.result.skipped += len(items) - added
-        if added < len(items):
-            held = self._index.find(hashes)
-            for item in items:
-                if item.content_hash in held:
-                    self._skip(item, held[item.content_hash])
-            self._bring_up_to_date()
+        held = self._index.find(hashes) if added < len(items) else {}
+        for item in items:
+            if item.content_hash in held:  # what was added just now is among them
+                self._skip(item, held[item.content_hash], at_its_place="added")
+            else:
+                self._keep(item.photo, "added")
+        self._bring_up_to_date()
 
     def _bring_up_to_date(self) -> None:
         """Commit new paths and positions of photos the index held already."""
@@ -220,21 +258,37 @@ class _Run:
             self._index.update([item.photo for item in self._stale], [item.content_hash for item in self._stale])
             self._stale.clear()
 
-    def _skip(self, item: _Item, held: Photo) -> None:
+    def _skip(self, item: _Item, held: Photo, *, at_its_place: State = "held") -> None:
         """Note what is new of a photo that the index holds: nothing, where it is the one it holds."""
-        path, photo = Path(os.path.realpath(item.path)), item.photo
-        news = ((photo.where, held.where), (photo.heading, held.heading), (photo.time, held.time))
+        path, known = Path(os.path.realpath(item.path)), with_news(held, item.photo)
         still_there = False
         if path != held.path:
             with suppress(SaladError):
                 still_there = content_hash(held.path) == item.content_hash
         if still_there:
-            self.result.twins.append(f"{item.path} is a copy of {held.path}, which is in the index: it was skipped")
-        elif path != held.path or any(new is not None and new != old for new, old in news):
-            self.result.moved += path != held.path
+            twin = f"{item.path} is a copy of {held.path}, which is in the index: it was skipped"
+            self.result.twins.append(twin)
+            self._tell(Outcome(item.photo, "copy", twin))
+            return
+        self.result.moved += path != held.path
+        if self.result.changes.note(held, known) or path != held.path or known.source != held.source:
             self._stale.append(item)
             if len(self._stale) >= _STALE:
                 self._bring_up_to_date()
+        self._keep(known, at_its_place if path == held.path else "held")
+
+    def _keep(self, photo: Photo, state: State) -> None:
+        """A photo is in the index: say so, and count it where nobody knows its position."""
+        why = photo.remark or (NOTHING_SAID if photo.where is None else "")
+        if photo.where is None:
+            self.result.unplaced += 1
+            if len(self.result.first_unplaced) < _FEW:
+                self.result.first_unplaced.append(f"{photo.path.name} ({why})")
+        self._tell(Outcome(photo, state, why))
+
+    def _tell(self, outcome: Outcome) -> None:
+        if self._on_photo is not None:
+            self._on_photo(outcome)
 
     def _count(self, photos: int) -> None:
         self._done += photos

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from salad.errors import StoreError
 from salad.images.photo import Photo
 from salad.index.database import Database, explaining, shortened
-from salad.index.facts import COLUMNS, UNKNOWN, Known, columns_of, facts_sum, known_of_row
+from salad.index.facts import COLUMNS, PLACED, UNKNOWN, Known, columns_of, facts_sum, known_of_row, with_news
 
 # Paths are bytes on most systems and need not be text; they are stored as the bytes they are (os.fsencode),
 # typed as TEXT so that anyone can read the table.
@@ -56,11 +56,12 @@ NEEDED = {
 }
 # CAST in this and all statements below: the paths are bound as bytes, which no encoding can refuse.
 INSERT = """
-INSERT INTO photos (path, lat, lon, heading, time, identity, row, sum, facts)
-VALUES (CAST(? AS TEXT), ?, ?, ?, ?, ?, ?, ?, ?)
+INSERT INTO photos (path, lat, lon, heading, time, identity, source, row, sum, facts)
+VALUES (CAST(? AS TEXT), ?, ?, ?, ?, ?, ?, ?, ?, ?)
 """
 UPDATE = """
-UPDATE photos SET path = CAST(? AS TEXT), lat = ?, lon = ?, heading = ?, time = ?, facts = ? WHERE row = ?
+UPDATE photos SET path = CAST(? AS TEXT), lat = ?, lon = ?, heading = ?, time = ?, source = ?, facts = ?
+WHERE row = ?
 """
 REMOVE = "UPDATE photos SET removed = 1, facts = NULL WHERE removed = 0"
 BELOW = "(path = CAST(:path AS TEXT) OR (path >= CAST(:low AS TEXT) AND path < CAST(:high AS TEXT)))"
@@ -224,9 +225,7 @@ class Catalog(Database):
 
     def positions(self) -> npt.NDArray[np.float64]:
         """Latitude and longitude of every live photo that has them: `[N, 2]`."""
-        found = self._run(
-            "SELECT lat, lon FROM photos WHERE removed = 0 AND lat BETWEEN -90 AND 90 AND lon BETWEEN -180 AND 180"
-        )
+        found = self._run(f"SELECT lat, lon FROM photos WHERE removed = 0 AND {PLACED}")
         pairs = np.fromiter(found, dtype=[("lat", np.float64), ("lon", np.float64)])
         return pairs.view(np.float64).reshape(-1, 2)
 
@@ -267,10 +266,8 @@ class Catalog(Database):
 
     def insert(self, photos: Sequence[Photo], identities: Sequence[str], sums: Sequence[int], *, row: int) -> None:
         """Write new photos with the checksums of their descriptors, the first of them for matrix row `row`."""
-        given = zip(photos, identities, sums, strict=True)
-        rows = (
-            (*columns_of(p), i, row + n, s, facts_sum((*columns_of(p), i, None))) for n, (p, i, s) in enumerate(given)
-        )
+        told = [(*columns_of(p), i, p.source) for p, i in zip(photos, identities, strict=True)]
+        rows = ((*t, row + n, s, facts_sum(t)) for n, (t, s) in enumerate(zip(told, sums, strict=True)))
         self._run_many(INSERT, rows)
 
     def update(self, photos: Sequence[Photo], identities: Sequence[str]) -> None:
@@ -278,16 +275,9 @@ class Catalog(Database):
         held = {known.identity: known for known in self._found(identities)}
         for photo, identity in zip(photos, identities, strict=True):
             if known := held.get(identity):
-                before = known.photo
-                news = Photo(
-                    photo.path,
-                    photo.where or before.where,
-                    before.heading if photo.heading is None else photo.heading,
-                    photo.time or before.time,
-                )
-                held[identity] = known._replace(photo=news)
-        rows = ((columns_of(known.photo), known) for known in held.values())
-        self._run_many(UPDATE, ((*told, facts_sum((*told, k.identity, k.source)), k.row) for told, k in rows))
+                held[identity] = known._replace(photo=with_news(known.photo, photo))
+        rows = ((columns_of(k.photo), k.photo.source, k.identity, k.row) for k in held.values())
+        self._run_many(UPDATE, ((*told, s, facts_sum((*told, i, s)), row) for told, s, i, row in rows))
 
     def retire(self, paths: Iterable[Path], identities: Iterable[str], *, below: int | None = None) -> None:
         """Remove live photos at `paths` whose content is none of `identities`: their file was replaced.

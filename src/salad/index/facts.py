@@ -7,12 +7,14 @@ import struct
 import zlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from salad.errors import PositionError
-from salad.geo import GeoPoint
+from salad.geo import GeoPoint, null_island
+from salad.images.metadata import SOURCES
 from salad.images.photo import Photo
 from salad.images.photo_table import LONGEST_PATH
 from salad.index.database import shortened
@@ -21,6 +23,10 @@ COLUMNS = "row, path, lat, lon, heading, time, identity, source, removed, facts"
 """What `known_of_row` reads."""
 UNKNOWN = -1
 """In place of a checksum that was never written."""
+PLACED = "lat BETWEEN -90 AND 90 AND lon BETWEEN -180 AND 180 AND NOT (lat = 0 AND lon = 0)"
+"""A condition of SQL that holds for the rows in which `known_of_row` finds a position."""
+AT_NULL_ISLAND = "the index has it at 0,0, which counts as no position"
+"""What `known_of_row` remarks of a photo whose position earlier versions took for one."""
 
 
 class Known(NamedTuple):
@@ -30,7 +36,7 @@ class Known(NamedTuple):
         row: Row of the matrix.
         photo: What is known of the photo; what makes no sense counts as unknown.
         identity: Its content.
-        source: Where its position came from, if that was noted.
+        source: Where its position came from, if that was noted: as it stands there, for the checksum is of that.
         trouble: What is damaged, if anything: a sentence.
     """
 
@@ -93,8 +99,43 @@ def known_of_row(row: Sequence[Any]) -> Known:
         "mark of removal": removed not in (0, 1),
     }
     named = " and ".join(part for part, bad in wrong.items() if bad)
-    kept_source = source if isinstance(source, str) else None
-    return Known(number, Photo(told.path, where, turned, taken), content, kept_source, named and _sentence(name, named))
+    remark = ""
+    if null_island(where):
+        where, remark = None, AT_NULL_ISLAND
+    noted_source = source if isinstance(source, str) else None
+    said_by = noted_source if where is not None and noted_source in SOURCES else None
+    photo = Photo(told.path, where, turned, taken, said_by, remark)
+    return Known(number, photo, content, noted_source, named and _sentence(name, named))
+
+
+def with_news(held: Photo, news: Photo) -> Photo:
+    """What is known of a photo that an index holds, when it was met again: the news, which take nothing away.
+
+    What a table or a correction says stays, since the photo itself does not know better, until another table or
+    correction comes.
+
+    Args:
+        held: What the index says.
+        news: What was found now, with the path where it was.
+    """
+    first, second = (held, news) if _is_given(held) and _rank(news) > _rank(held) else (news, held)
+    placed = first if first.where is not None else second
+    return replace(
+        news,
+        where=placed.where,
+        heading=second.heading if first.heading is None else first.heading,
+        time=first.time or second.time,
+        source=placed.source if placed.where is not None else None,
+        remark="" if placed is held and held.where is not None else news.remark,
+    )
+
+
+def _is_given(photo: Photo) -> bool:
+    return photo.source in ("correction", "table")
+
+
+def _rank(photo: Photo) -> int:
+    return SOURCES.index(photo.source) if photo.source in SOURCES else len(SOURCES)
 
 
 def _expected(row: Sequence[Any]) -> int | None:

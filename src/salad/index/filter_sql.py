@@ -14,6 +14,7 @@ import numpy as np
 
 from salad.geo import EARTH_RADIUS_M, GeoPoint, metres, turn_between
 from salad.index.catalog import Catalog
+from salad.index.facts import PLACED
 from salad.search.base import Mask
 from salad.search.filters import Box, Filter, in_order
 
@@ -68,7 +69,7 @@ def _in_box(box: Box) -> Part:
     if west <= east and 180 in (-west, east):
         across = "(lon BETWEEN ? AND ? OR abs(lon) = 180)"  # 180 east and 180 west are one line
     real = "typeof(lat) = 'real' AND typeof(lon) = 'real'"
-    return f"{real} AND lat BETWEEN ? AND ? AND {across}", (south, north, west, east)
+    return f"{real} AND {PLACED} AND lat BETWEEN ? AND ? AND {across}", (south, north, west, east)
 
 
 def _around(near: GeoPoint, within_m: float) -> Box:

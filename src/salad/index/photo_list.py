@@ -1,6 +1,6 @@
 """The list of photos of an export: CSV, Parquet or GeoJSON, out and back; what another tool wrote is read as well.
 
-Columns: `path` (seen from the list's folder), and `lat`, `lon`, `heading`, `time` and `identity` where they are known.
+Columns: `path` (seen from the list's folder), and `lat`, `lon`, `heading`, `time`, `identity` and `source` where known.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 from salad.errors import PositionError, StoreError, reason
 from salad.geo import GeoPoint
+from salad.images.metadata import SOURCES
 from salad.images.photo import Photo
 from salad.images.photo_table import LONGEST_PATH
 from salad.index.geojson import is_text, read_features, write_features
@@ -23,7 +24,7 @@ from salad.tables import CsvError, number, read_csv, read_parquet, shown, write_
 Put = Callable[[Sequence[Photo], Sequence[str]], None]
 Record = Mapping[str, Any]
 
-COLUMNS = ("path", "lat", "lon", "heading", "time", "identity")
+COLUMNS = ("path", "lat", "lon", "heading", "time", "identity", "source")
 _DEGREES = ("lat", "lon", "heading")
 _IDENTITY = re.compile(r"[0-9a-f]{32}")
 
@@ -49,7 +50,7 @@ def writer(path: Path) -> Iterator[Put]:
                     f"{os.fsencode(strange)!r} is not UTF-8, and Parquet holds no other names: export as csv"
                 )
             pairs = zip(photos, identities, strict=True)
-            write(photo.as_dict() | {"identity": identity} for photo, identity in pairs)
+            write(photo.as_dict() | {"identity": identity, "source": photo.source} for photo, identity in pairs)
 
         yield put
 
@@ -116,7 +117,9 @@ def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
         raise ValueError(f"{shown(path)} has a latitude or a longitude, but not both")
     where = GeoPoint(lat, lon) if lat is not None and lon is not None else None
     turned = heading if heading is None or 0 <= heading <= 360 else heading % 360
-    return Photo(folder / path, where, turned, _time(record.get("time"))), _identity(record.get("identity"))
+    said_by = record.get("source") if where is not None else None
+    source = said_by if said_by in SOURCES else None  # of a later salad, or another tool's column of that name
+    return Photo(folder / path, where, turned, _time(record.get("time")), source), _identity(record.get("identity"))
 
 
 def _can_be_a_name(path: str) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -20,6 +20,7 @@ import numpy as np
 
 from salad.errors import PhotoError, StoreError, WrongModelError
 from salad.files import read_json
+from salad.geo import null_island
 from salad.images.photo import Photo, content_hash
 from salad.index import index_folder
 from salad.index.index import Index
@@ -123,7 +124,13 @@ def model_of(folder: str | Path, *, name: str | None = None) -> Source:
     return source
 
 
-def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
+def take(
+    index: Index,
+    folder: str | Path,
+    *,
+    model: str | None = None,
+    on_null_island: Callable[[Photo], None] | None = None,
+) -> int:
     """Take in the descriptors and photos of a folder: an export's, or another tool's `.npy` and table.
 
     The table has a line for each row, in order, with the columns `path` and, where known, `lat`, `lon`,
@@ -136,6 +143,7 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
         folder: Where from.
         model: The model that made them, where the folder does not say; who names the index's own vouches
             for it.
+        on_null_island: Takes each photo of which the folder says 0,0, which counts as no position.
 
     Returns:
         How many photos were new.
@@ -146,7 +154,8 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
     """
     source = model_of(folder, name=model or index.model)
     # Another tool's folder says nothing of a model: whoever names the index's own vouches that it made them.
-    vouched = model == index.model and not Path(folder, _MODEL).exists() and source.dim == index.dim
+    ours = Path(folder, _MODEL).exists()
+    vouched = model == index.model and not ours and source.dim == index.dim
     if source.fingerprint != index.fingerprint and not vouched:
         raise wrong_model(index, Path(folder), source.model, source.fingerprint)
     rows = _rows_in(Path(folder))
@@ -170,17 +179,34 @@ def take(index: Index, folder: str | Path, *, model: str | None = None) -> int:
     for _, some in rows.blocks(numbers=_COMMIT):
         page = list(islice(lines, len(some)))
         contents = [content or _content(photo) for photo, content in page]
-        added += index.add([photo for photo, _ in page], some, identities=contents)
+        placed = [_settled(photo, ours=ours, on_null_island=on_null_island) for photo, _ in page]
+        added += index.add(placed, some, identities=contents)
     return added
 
 
-def take_as_new(to: str | Path, folder: str | Path, *, model: str | None = None) -> int:
+def _settled(photo: Photo, *, ours: bool, on_null_island: Callable[[Photo], None] | None) -> Photo:
+    """A photo of a list with who says where it was: the list itself, where it is another tool's; and not at 0,0."""
+    if null_island(photo.where):
+        photo = replace(photo, where=None, source=None)
+        if on_null_island is not None:
+            on_null_island(photo)
+    return photo if ours or photo.where is None else replace(photo, source="table")
+
+
+def take_as_new(
+    to: str | Path,
+    folder: str | Path,
+    *,
+    model: str | None = None,
+    on_null_island: Callable[[Photo], None] | None = None,
+) -> int:
     """Make an index of what `take` takes, which appears whole or not at all, whatever happens meanwhile.
 
     Args:
         to: The index's folder; nothing is there, or an empty folder.
         folder: Where from.
         model: The model that made the descriptors, where the folder does not say.
+        on_null_island: As `take` has it.
 
     Returns:
         How many photos it holds.
@@ -193,7 +219,7 @@ def take_as_new(to: str | Path, folder: str | Path, *, model: str | None = None)
         index_folder.drafted(Path(os.path.realpath(to)), "index") as draft,
         Index.create(draft, dim=source.dim, fingerprint=source.fingerprint, model=source.model) as index,
     ):
-        return take(index, folder, model=model)
+        return take(index, folder, model=model, on_null_island=on_null_island)
 
 
 def _is_name(value: Any) -> bool:
@@ -284,6 +310,7 @@ def merge(into: Index, other: Index) -> Merged:
             content: replace(
                 known[content],
                 where=known[content].where or photo.where,
+                source=known[content].source if known[content].where else photo.source,
                 heading=photo.heading if known[content].heading is None else known[content].heading,
                 time=known[content].time or photo.time,
             )
