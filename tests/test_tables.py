@@ -309,3 +309,18 @@ def test_a_path_in_a_spreadsheet_is_the_same_path(text: str) -> None:
     (shown,) = without_formulas([PurePosixPath(text)])
     assert str(shown)[0] not in "=+-@\t\r\n"
     assert PurePosixPath(shown) == PurePosixPath(text)
+
+
+def test_parquet_that_ends_whoever_looks_at_it_is_refused(tmp_path: Path) -> None:
+    arrow = pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
+    parquet = import_module("pyarrow.parquet")
+    path = tmp_path / "t.parquet"
+    parquet.write_table(arrow.table({"path": ["a.jpg", None]}), path)
+    assert [fields for _, fields in read_parquet(path)] == [{"path": "a.jpg"}, {"path": None}]
+    # The column is called one that has no gaps, against what is counted of it.
+    gaps = b"\x25\x02"
+    data = path.read_bytes()
+    at = data.rindex(gaps, 0, data.rindex(b"path"))
+    path.write_bytes(data[:at] + b"\x25\x00" + data[at + 2 :])
+    with pytest.raises(ValueError, match="what it says of its columns is damaged"):
+        list(read_parquet(path))

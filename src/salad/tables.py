@@ -14,11 +14,13 @@ import itertools
 import math
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path, PurePath
-from typing import Any, TextIO
+from typing import Any, BinaryIO, TextIO
 
 from salad.errors import needs_extra, reason
 from salad.files import open_file
@@ -167,6 +169,7 @@ def read_parquet(
     """
     pyarrow, parquet = _arrow("reading Parquet")
     with open_file(path) as file:
+        _check_metadata(file)
         try:
             table = parquet.ParquetFile(file)
             if not table.metadata.num_rows:
@@ -189,6 +192,42 @@ def read_parquet(
             ) from error  # pyarrow's own word for bytes it cannot read
         except (pyarrow.ArrowException, OverflowError) as error:
             raise ValueError(f"it is no Parquet ({error})") from error
+
+
+_LOOK = """
+import sys
+from pyarrow import ArrowException, parquet
+try:
+    metadata = parquet.ParquetFile(sys.stdin.buffer).metadata
+except (ArrowException, OSError):
+    sys.exit()  # said better where it is read
+for group in range(metadata.num_row_groups):
+    for column in range(metadata.num_columns):
+        metadata.row_group(group).column(column)
+"""
+
+
+def _check_metadata(file: BinaryIO) -> None:
+    """Whether a process survives it to look at what Parquet says of its columns, which is tried in another one.
+
+    Arrow ends the process over some that are damaged ("terminate called after throwing an instance of
+    'parquet::ParquetException'"), where nothing can be caught. Where no process can be started nothing is tried.
+
+    Raises:
+        ValueError: If it does not, or not within a minute.
+    """
+    try:
+        tried = subprocess.run(
+            [sys.executable, "-P", "-c", _LOOK], stdin=file, capture_output=True, timeout=60, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ValueError("what it says of its columns takes a minute to read") from error
+    except (OSError, ValueError):
+        return
+    finally:
+        file.seek(0)
+    if tried.returncode < 0:
+        raise ValueError("what it says of its columns is damaged")
 
 
 def _checked_columns(pyarrow: Any, table: Any, columns: Sequence[str], *, length: int) -> list[str]:
