@@ -1,13 +1,15 @@
 """Tables, whatever they list: CSV with the columns' names in its first line, and Parquet where pyarrow is there.
 
-What CSV is in the wild is decided here for everybody: UTF-8 with or without a mark, commas, quotes around whatever
-holds a comma or an end of line, blank lines passed over; and so is what a number is. Which columns a table needs, and
-the sentence where it lacks one, are its reader's own. A table may be anybody's: it is read from a file and from
-nothing else, and no line or value of it is longer than one can be.
+What CSV is in the wild is decided here for everybody: UTF-8 with or without a mark, or UTF-16, as spreadsheets write
+it; commas, semicolons or tabs, as the first line has them; quotes around whatever holds one of them or an end of line;
+blank lines passed over; and so is what a number is. Which columns a table needs, and the sentence where it lacks one,
+are its reader's own. A table may be anybody's: it is read from a file and from nothing else, and no line or value of
+it is longer than one can be.
 """
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import itertools
@@ -35,6 +37,26 @@ LONGEST_LINE = 1 << 20
 """Letters of a line of text that are read; the photos right for a query, or found for it, may be thousands."""
 LONGEST_TEXT = 1 << 16
 """Letters of a value of a table; a path has at most half as many on any system."""
+
+_DELIMITERS = ",;\t"
+_SEPARATOR = re.compile(r'"?sep=([,;\t])"?\s*', re.IGNORECASE)  # a first line by which Excel is told what parts fields
+_QUOTED = re.compile(r'"[^"]*"?')
+_MARKS = {
+    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it begins with
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+_NO_CSV = {
+    b"PK\3\4": "it is a spreadsheet of Excel, LibreOffice or Numbers, or another packed file",
+    b"\xd0\xcf\x11\xe0": "it is a spreadsheet of an old Excel",
+    b"PAR1": "it is Parquet, and its name must end in .parquet",
+    b"SQLite format 3\0": "it is a database",
+    b"<": "it is XML, such as GPX, KML or a web page",
+    b"{": "it is JSON, such as GeoJSON",
+    b"[": "it is JSON",
+}
+"""How files begin that are taken for tables, and are none."""
 
 _BEGINS_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 _ROWS = 1000  # of Parquet in memory
@@ -80,7 +102,7 @@ def read_lines(path: Path, *, errors: str = "strict", longest: int = LONGEST_LIN
     """The lines of a text, one after another, with their ends as they are; memory stays small.
 
     Args:
-        path: The file, in UTF-8 with or without a mark.
+        path: The file, in UTF-8 with or without a mark, or in UTF-16 or UTF-32 with one.
         errors: What becomes of bytes that are not UTF-8, as `open` has it.
         longest: Letters that a line may have.
 
@@ -89,8 +111,11 @@ def read_lines(path: Path, *, errors: str = "strict", longest: int = LONGEST_LIN
         UnicodeDecodeError: If it is not UTF-8, and `errors` is "strict".
         ValueError: If a line is longer.
     """
-    with open_file(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", errors=errors, newline="") as file:
-        yield from bounded_lines(file, longest=longest)
+    with open_file(path) as raw:
+        head = raw.peek(4)
+        encoding = next((name for mark, name in _MARKS.items() if head.startswith(mark)), "utf-8-sig")
+        with io.TextIOWrapper(raw, encoding=encoding, errors=errors, newline="") as file:
+            yield from bounded_lines(file, longest=longest)
 
 
 def bounded_lines(file: TextIO, *, longest: int = LONGEST_LINE) -> Iterator[str]:
@@ -117,6 +142,9 @@ def read_csv(
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """The lines of a CSV file, one after another; memory stays small.
 
+    Fields are parted by commas, semicolons or tabs: by what a first line `sep=;` says, which is no line of the table,
+    or by what stands most often between the columns' names.
+
     Args:
         path: The file.
         header: Looks at the columns' names; where it is not given, whatever columns there are will do.
@@ -132,12 +160,22 @@ def read_csv(
     Raises:
         OSError: If the file cannot be read.
         UnicodeDecodeError: If it is not UTF-8, and `errors` is "strict".
-        CsvError: If it is not CSV.
+        CsvError: If it is not CSV; the message says what it is instead, where that shows.
     """
-    reader = csv.DictReader(_lines_of_csv(path, errors), strict=strict, restval=missing)
+    with open_file(path) as file:
+        head = file.peek(16).removeprefix(codecs.BOM_UTF8).lstrip()
+    if instead := next((told for beginning, told in _NO_CSV.items() if head.startswith(beginning)), None):
+        raise CsvError(instead)
+    lines = _lines_of_csv(path, errors)
+    first = next(lines, "")
+    told = _SEPARATOR.fullmatch(first)
+    if told is None:
+        lines = itertools.chain([first], lines)
+    delimiter = told[1] if told else max(_DELIMITERS, key=_QUOTED.sub("", first).count)  # of equals the comma
+    reader = csv.DictReader(lines, strict=strict, restval=missing, delimiter=delimiter)
     reader.fieldnames = header(list(reader.fieldnames or []))
     for fields in reader:
-        yield reader.line_num, fields
+        yield reader.line_num + (told is not None), fields
 
 
 def _lines_of_csv(path: Path, errors: str) -> Iterator[str]:

@@ -78,6 +78,8 @@ LINES = {
     "too many fields": b"0.jpg,1,2,,,,,,,,",
     "no path": b",1,2,,,",
 }  # fmt: skip
+# NaN and the year 0 are what is not known; a heading may be a turn more or less.
+HARMLESS = ("heading of 'nan'", "heading of '1e300'", "time of '0000-01-01'")
 
 
 def positions() -> Iterator[Attack]:
@@ -87,8 +89,7 @@ def positions() -> Iterator[Attack]:
         right = "harmless" if what in ("ends of lines of old", "a line without end") else "refused"
         yield Attack(f"a table is {what}", file("t.csv", content), right, _named(right, "t.csv"), POSITIONS)
     for what, line in LINES.items():
-        # A turn or more is a heading too, and more than a number of nanoseconds a time.
-        right = "refused" if "heading of '1e300'" not in what else "harmless"
+        right = "harmless" if any(word in what for word in HARMLESS) else "refused"
         if "path of" in what:  # no photo has it
             right = "harmless"
         yield Attack(
@@ -169,8 +170,7 @@ def exports() -> Iterator[Attack]:
         right = "harmless" if what in ("ends of lines of old",) else "refused"
         yield taken(f"its table is {what}", export(names={"photos.csv": content}), right)
     for what, line in LINES.items():
-        # Another tool's unknown is NaN; a heading is a turn more or less.
-        easy = any(word in what for word in ("'nan'", "path of", "heading of '1e300'"))
+        easy = any(word in what for word in ("path of", *HARMLESS))
         yield taken(
             f"its table has {what}",
             export(names={"photos.csv": HEAD + line + b"\n"}),

@@ -156,6 +156,21 @@ def test_an_empty_folder_is_forgotten_where_all_is_to_be(cli: Any, asked: Any, h
     assert held(tmp_path / "city") == []
 
 
+def test_what_of_a_table_fits_no_photo_is_told(cli: Any, asked: Any, photos: Any, tmp_path: Path) -> None:
+    first, second, *_ = (path.name for path in photos.query)
+    table = tmp_path / "places.csv"
+    rows = ["file;latitude;longitude", "gone.jpg;1;2", f"{first.upper()};47,5;8,25", f"{second};0;0"]
+    table.write_text("\n".join(rows), encoding="utf-16")
+    ran = cli("index", photos.queries, "--to", tmp_path / "i", "--table", table)
+    assert ran.code == 0
+    assert f"{table}: of its rows 2 fit a photo and 1 none, the first of them line 2, 'gone.jpg'" in ran.err
+    assert f"{table}: 1 row says 0,0, which counts as no position; the first is line 4" in ran.err
+    with Index.open(tmp_path / "i") as index:
+        assert {photo.path.name: photo.where for photo in index.photos() if photo.where} == {
+            first: GeoPoint(47.5, 8.25)
+        }
+
+
 def test_what_was_passed_over_is_counted(
     cli: Any, asked: Any, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

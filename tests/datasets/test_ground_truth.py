@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salad.datasets.compact_lists import Ragged
-from salad.datasets.ground_truth import PhotoNames, looking_alike
+from salad.datasets.ground_truth import PhotoNames, looking_alike, read_truth
 from salad.errors import BenchmarkError
 from salad.images.photo import Photo
 
@@ -37,6 +37,21 @@ def test_by_path_or_by_a_name_that_only_one_bears(called: str, row: int) -> None
 def test_a_name_of_none_or_of_several_is_told_with_its_line(called: str, says: str) -> None:
     with pytest.raises(BenchmarkError, match=f"line 7 names '{called}'.*{says}"):
         NAMES.row(called, "line 7")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "query,positives\na.jpg,in/b.jpg;in/c.jpg\nin/b.jpg,\n",
+        'query;positives\na.jpg;"in/b.jpg;in/c.jpg"\nin/b.jpg;\n',
+        "query;positives\na.jpg;in/b.jpg;in/c.jpg\nin/b.jpg;\n",
+        "sep=\t\nquery\tpositives\na.jpg\tin/b.jpg;in\\c.jpg\nin/b.jpg\t\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_truth_table_may_be_saved_by_any_spreadsheet(tmp_path: Path, text: str, encoding: str) -> None:
+    (tmp_path / "truth.csv").write_bytes(text.encode(encoding))
+    assert read_truth(tmp_path / "truth.csv", NAMES, NAMES) == {0: [1, 2], 1: []}
 
 
 headings = st.lists(st.integers(0, 359), min_size=1, max_size=8)

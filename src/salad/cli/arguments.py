@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from tyro.conf import Positional, arg
 
+from salad.cli import terminal
 from salad.errors import BenchmarkError, ModelError, SaladError, StoreError
 
 if TYPE_CHECKING:
@@ -211,11 +212,16 @@ def benchmark_of(
     return made
 
 
-def read_positions(table: Path | None) -> PhotoTable | None:
-    """The table of positions, where one is named."""
+def read_positions(table: Path | None, photos: Sequence[Path] | None = None) -> PhotoTable | None:
+    """The table of positions, where one is named; what of it does not fit `photos`, where these are given, is said."""
     from salad.images.photo_table import PhotoTable
 
-    return None if table is None else PhotoTable.read(table)
+    positions = None if table is None else PhotoTable.read(table)
+    if positions is not None and photos is not None:
+        positions, told = positions.fitted(photos)
+        for sentence in told:
+            terminal.say(sentence)
+    return positions
 
 
 def check_positions(positions: PhotoTable | None, benchmark: Benchmark) -> None:

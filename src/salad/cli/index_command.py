@@ -89,7 +89,7 @@ class IndexCommand:
         found = look_through(sources, exclude=self.exclude, allow_empty=self.prune_all)
         paths = found.photos
         prepare()  # what reads the photos starts while the model loads
-        table = read_positions(self.table)
+        table = read_positions(self.table, paths)
         named = self.model or model_name_for(self.to)
         model = load(named, device=self.device, engine=self.engine, threads=self.threads)
         settle_engine(model, len(paths))

@@ -88,7 +88,7 @@ class PlacesCommand:
                 f"`salad train --data {known}`, or name a table of positions with --table to find others"
             )
         paths = find_photos(names, on_unreadable=terminal.say)
-        table = read_positions(self.table)
+        table = read_positions(self.table, paths)
         photos: list[Photo] = []
         with Workers(len(paths)) as workers, terminal.progress("looking") as bar:
             for photo in workers.in_order(lambda path: placed(workers.look(path), table), paths, ahead=64):

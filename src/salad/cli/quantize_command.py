@@ -43,7 +43,7 @@ class QuantizeCommand:
         if self.to.exists():  # said before the work, not after it
             raise WeightsError(f"{self.to} exists already; choose another folder, or remove it first")
         paths = find_photos(terminal.expand_stdin(self.photos), on_unreadable=terminal.say)
-        table = read_positions(self.table)
+        table = read_positions(self.table, paths)
         model = load(self.model, engine="openvino")
         with terminal.progress("judging") as bar:
             bar(

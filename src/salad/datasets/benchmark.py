@@ -202,6 +202,8 @@ def from_radius(
     if not (metres > 0 and math.isfinite(metres)):
         raise BenchmarkError(f"a radius of {metres} m makes no sense: give a positive number of metres")
     reference_paths, query_paths = two_folders(references, queries)
+    if table is not None:
+        table, _ = table.fitted([*reference_paths, *query_paths])
     # With a tolerance of headings, a photo that says only where it stands is opened for the rest.
     reference_photos = tuple(_known(path, table, heading is not None) for path in reference_paths)
     query_photos = tuple(_known(path, table, heading is not None) for path in query_paths)

@@ -88,7 +88,9 @@ def read_truth(truth_csv: Path, references: PhotoNames, queries: PhotoNames) -> 
             row = queries.row(query, at)
             if row in truth:
                 raise BenchmarkError(f"{at} names the query '{query}' a second time: keep one line a query")
-            names = (positive.strip() for positive in fields["positives"].split(";"))
+            # Where semicolons part the fields, and no quotes hold the positives, all but the first are in no column.
+            cells = [fields["positives"], *fields.get(None, ())]  # type: ignore[call-overload]  # so `read_csv` has it
+            names = (positive.strip() for cell in cells for positive in cell.split(";"))
             truth[row] = [references.row(name, at) for name in names if name]
     except (OSError, UnicodeDecodeError, CsvError) as error:
         raise BenchmarkError(

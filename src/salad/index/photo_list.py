@@ -1,6 +1,7 @@
 """The list of photos of an export: CSV, Parquet or GeoJSON, out and back; what another tool wrote is read as well.
 
-Columns: `path` (seen from the list's folder), and `lat`, `lon`, `heading`, `time`, `identity` and `source` where known.
+Columns: `path` (seen from the list's folder), and `lat`, `lon`, `heading`, `time`, `identity` and `source` where known;
+they may be called and written as in any table of photos (`salad.images.as_written`).
 """
 
 from __future__ import annotations
@@ -9,17 +10,16 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from salad.errors import PositionError, StoreError, reason
-from salad.geo import GeoPoint
+from salad.images import as_written
 from salad.images.metadata import SOURCES
 from salad.images.photo import Photo
 from salad.images.photo_table import LONGEST_PATH
 from salad.index.geojson import is_text, read_features, write_features
-from salad.tables import CsvError, number, read_csv, read_parquet, shown, write_table
+from salad.tables import CsvError, read_csv, read_parquet, shown, write_table
 
 Put = Callable[[Sequence[Photo], Sequence[str]], None]
 Record = Mapping[str, Any]
@@ -85,7 +85,8 @@ def _records(path: Path) -> Iterator[Record]:
             for _, record in read_csv(path, _header, errors="surrogateescape"):
                 if None in record:
                     raise ValueError("it has more fields than the first line (put names with commas in quotes)")
-                yield record
+                if any(record.values()):  # spreadsheets end a table by empty rows
+                    yield record
 
 
 def _of_feature(feature: Any) -> Record:
@@ -99,7 +100,7 @@ def _of_feature(feature: Any) -> Record:
 
 
 def _header(names: list[str]) -> list[str]:
-    header = [name.strip().lower() for name in names]
+    header = as_written.columns(names)
     if header.count("path") != 1:
         told = ", ".join(header[:20]) or "none"
         raise ValueError(f"it needs one column 'path', but has {told[:200]}")
@@ -112,14 +113,13 @@ def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
     path = record.get("path")
     if not isinstance(path, str) or not path or not _can_be_a_name(path):
         raise ValueError(f"{shown(path)} is no file's name")
-    lat, lon, heading = (_degrees(record.get(name), name) for name in _DEGREES)
-    if (lat is None) != (lon is None):
-        raise ValueError(f"{shown(path)} has a latitude or a longitude, but not both")
-    where = GeoPoint(lat, lon) if lat is not None and lon is not None else None
+    where = as_written.position(record.get("lat"), record.get("lon"))
+    heading = as_written.degrees(record.get("heading"), "heading")
     turned = heading if heading is None or 0 <= heading <= 360 else heading % 360
     said_by = record.get("source") if where is not None else None
     source = said_by if said_by in SOURCES else None  # of a later salad, or another tool's column of that name
-    return Photo(folder / path, where, turned, _time(record.get("time")), source), _identity(record.get("identity"))
+    photo = Photo(folder / path, where, turned, as_written.time(record.get("time")), source)
+    return photo, _identity(record.get("identity"))
 
 
 def _can_be_a_name(path: str) -> bool:
@@ -128,30 +128,6 @@ def _can_be_a_name(path: str) -> bool:
         return "\0" not in path and len(path) <= LONGEST_PATH and bool(os.fsencode(path))
     except UnicodeEncodeError:
         return False
-
-
-def _degrees(value: object, name: str) -> float | None:
-    text = "" if value is None else str(value)
-    if text == "" or text.lower() == "nan":  # as pandas writes what is not known
-        return None
-    try:
-        found = number(text)
-    except ValueError:
-        found = 1e9
-    if abs(found) > 1e6:  # no number, or so large that a turn is lost in rounding
-        raise ValueError(f"{name} {shown(value)} is not a number of degrees")
-    return found
-
-
-def _time(value: object) -> datetime | None:
-    if isinstance(value, datetime):
-        return value
-    try:
-        if value is None or isinstance(value, str):
-            return datetime.fromisoformat(value) if value else None
-    except ValueError:
-        pass
-    raise ValueError(f"its time {shown(value)} is not written as 2024-05-31T14:00:00")
 
 
 def _identity(value: object) -> str | None:
