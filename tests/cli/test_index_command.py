@@ -261,6 +261,19 @@ def test_a_list_is_written_whole_or_not_at_all_and_takes_no_photos_place(
     assert not (tmp_path / "city").exists()  # said before any work
 
 
+def test_null_island_as_devices_write_it(cli: Any, asked: Any, cases: Path, tmp_path: Path) -> None:
+    """`right.txt`: exactly 0,0 in EXIF or a table is no position, and is named; one axis alone may well be zero."""
+    case, city = cases / "01-null-island", tmp_path / "city"
+    for table in ([], ["--table", case / "t.csv"]):
+        ran = cli("index", case / "photos", "--to", city, *table)
+        assert "2 photos have no position: zeroed.jpg (" in ran.err
+        assert "it holds 6, 4 with a position" in ran.err
+        with Index.open(city) as index:
+            known = {photo.path.name: photo.as_dict() for photo in index.photos()}
+        for name, lat, lon in (("zeroed.jpg", None, None), ("equator.jpg", 0, 32.5), ("greenwich.jpg", 51.48, 0)):
+            assert [known[name][axis] for axis in ("lat", "lon")] == [pytest.approx(lat), pytest.approx(lon)]
+
+
 def test_what_another_tool_has_at_null_island_is_told(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
     cli("index", home, "--to", tmp_path / "city")
     with Index.open(tmp_path / "city") as index:

@@ -47,6 +47,23 @@ def test_only_photos_that_keep_to_the_options_are_found(
 
 
 @pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--since", "2024-05-02T11:00+02:00"], True),
+        (["--until", "2024-05-02T11:00Z", "--since", "2024-05-01"], True),
+        (["--since", "2024-05-02T11:00"], False),
+        (["--since", "2024-05-02", "--until", "2024-05-03"], False),
+    ],
+)
+def test_a_clock_and_a_moment_are_compared_and_that_is_said(
+    cli: Any, city: Path, photos: Any, options: list[str], told: bool
+) -> None:
+    """The photos of the town have no zone."""
+    ran = cli("locate", photos.query[0], "--index", city, *options)
+    assert ("6 photos of" in ran.err and "by the clock on the wall" in ran.err) == told
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         (["--near", "48.1"], "--near 48.1 cannot be read"),

@@ -17,7 +17,7 @@ from salad.geo import GeoPoint, metres_between, null_island, shifted
 from salad.images.photo import Photo
 from salad.index import filter_sql
 from salad.index.catalog import Catalog
-from salad.index.filter_sql import allowed
+from salad.index.filter_sql import allowed, compared_by_the_clock
 from salad.index.index import Index
 from salad.search.filters import Filter
 
@@ -223,3 +223,13 @@ def test_a_search_finds_the_best_of_what_passes(tmp_path: Path) -> None:
 def test_nonsense_is_refused(nonsense: dict, sentence: str) -> None:
     with pytest.raises(StoreError, match=sentence):
         Filter(**nonsense)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(facts=st.lists(FACTS, max_size=12), wanted=some_filters())
+def test_times_that_only_clocks_compare_are_counted(empty: Catalog, facts: list[tuple], wanted: Filter) -> None:
+    photos = [Photo(Path(f"/p/{n}"), *fact) for n, fact in enumerate(facts)]
+    bounds = [bound for bound in (wanted.since, wanted.until) if bound]
+    apart = [p for p in photos if p.time and any((p.time.tzinfo is None) != (b.tzinfo is None) for b in bounds)]
+    with held(photos, empty):
+        assert compared_by_the_clock(wanted, empty) == len(apart)

@@ -44,6 +44,8 @@ Moment = Annotated[str | None, arg(metavar="DATE", help_behavior_hint="")]
 Confidence = Annotated[float | None, arg(metavar="0..1", help_behavior_hint="")]
 Track = Annotated[Path | None, arg(metavar="FILE.gpx", help_behavior_hint="")]
 
+_A_DAY = len("2024-05-01")  # letters of a date without an hour
+
 
 @dataclass(frozen=True)
 class FilterOptions:
@@ -107,7 +109,7 @@ def _moment(text: str | None, option: str, *, to_its_end: bool = False) -> datet
         moment = datetime.fromisoformat(text)
     except ValueError as error:
         raise SaladError(f"{option} {text} is no date: write 2024-05-01, or 2024-05-01T12:00") from error
-    day_alone = len(text) <= len("2024-05-01")
+    day_alone = len(text) <= _A_DAY
     # `--until 2024-05-01` means with all of that day, or the photos of its afternoon would be lost.
     return moment + timedelta(days=1, microseconds=-1) if to_its_end and day_alone else moment
 
@@ -189,6 +191,13 @@ class LocateCommand:
             Index.open(self.index, searcher=ExactSearcher if self.exact else None) as index,
             terminal.progress("locating") as bar,
         ):
+            # A whole day is what calendars on walls said, too: no word is lost over that.
+            by_hour = any(len(bound or "") > _A_DAY for bound in (self.only.since, self.only.until))
+            if where is not None and by_hour and (count := index.compared_by_the_clock(where)):
+                terminal.say(
+                    f"{count:,} photos of {self.index} and the bounds of --since and --until do not both have a time "
+                    "zone: they are compared by the clock on the wall"
+                )
             named = self.model or model_name_for(self.index)
             model = load(named, device=self.device, engine=self.engine, threads=self.threads)
             bar(0, len(paths))

@@ -63,6 +63,22 @@ def allowed(filter: Filter, catalog: Catalog, alive: Mask) -> Mask:
     return passed & alive
 
 
+def compared_by_the_clock(filter: Filter, catalog: Catalog) -> int:
+    """How many living photos know when they were taken, but not in the way that a bound of the filter does.
+
+    One has a zone and the other has not, so that nobody knows which came first; `Filter` compares clocks on the wall.
+    """
+    zoned = "substr(time, 11) LIKE '%+__:__%' OR substr(time, 11) LIKE '%-__:__%'"
+    bounds = [bound for bound in (filter.since, filter.until) if bound is not None]
+    apart = {f"NOT ({zoned})" if bound.utcoffset() is not None else f"({zoned})" for bound in bounds}
+    if not apart:
+        return 0
+    # Damaged tables may hold a text without end there: a time has 32 letters at most.
+    known = "removed = 0 AND typeof(time) = 'text' AND length(CAST(time AS BLOB)) <= 40"
+    ((count,),) = catalog.select(f"SELECT COUNT(*) FROM photos WHERE {known} AND ({' OR '.join(sorted(apart))})")
+    return int(count)
+
+
 def _in_box(box: Box) -> Part:
     south, west, north, east = box
     across = "lon BETWEEN ? AND ?" if west <= east else "(lon >= ? OR lon <= ?)"

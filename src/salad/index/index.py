@@ -29,7 +29,7 @@ from salad.index.codes import CodeFile, extend, newest
 from salad.index.compact import Compacted, Dropping, compact
 from salad.index.compress import Compressed, Progress, compress, is_due, take_away
 from salad.index.contents import Page, listed, pages
-from salad.index.filter_sql import allowed
+from salad.index.filter_sql import allowed, compared_by_the_clock
 from salad.index.header import Header
 from salad.index.vectors import FileRows, Snapshot, append, storable, sums
 from salad.index.verify import ChecksumVerifier, IndexInfo
@@ -351,6 +351,14 @@ class Index:
             [Match(held[row].photo, score, row) for row, score in zip(*best, strict=True) if row in held]
             for best in zip(hits.rows.tolist(), hits.scores.tolist(), strict=True)
         ]
+
+    def compared_by_the_clock(self, where: Filter) -> int:
+        """Of how many photos the time has a zone where a bound of this filter has none, or the other way about.
+
+        They are compared by the clocks on the wall, as `Filter` says.
+        """
+        with self._catalog.reading():
+            return compared_by_the_clock(where, self._catalog)
 
     def _queries(self, descriptors: Floats) -> Queries:
         with np.errstate(over="ignore"):  # a float64 beyond float32 is infinite there, and refused below
