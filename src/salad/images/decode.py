@@ -26,12 +26,14 @@ from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from salad.errors import MissingExtraError, ModelError, PhotoError, reason
 from salad.files import open_file, read_file
+from salad.images.rgb import to_rgb
 
-DECODER = 2
+DECODER = 3
 """Version of what `decode` makes of a file; part of the name of whatever is kept of it (descriptors, tokens).
 
-1 was every pixel decoded, except for `index` and `locate`; 2 is JPEGs reduced while they are decoded, for all. It is
-no part of a model's fingerprint: indexes were made with 2 from the beginning."""
+1 was every pixel decoded, except for `index` and `locate`; 2 was JPEGs reduced while they are decoded, for all; 3 is
+deep grey shown by the range that it uses. It is no part of a model's fingerprint: few photos differ from one to the
+next, and indexes were made with 2 from the beginning."""
 LONGEST = 1 << 30
 """Bytes of the longest file that is read: the largest photos take 800 million without any compression."""
 MAX_PIXELS = 200_000_000
@@ -71,7 +73,6 @@ _AVIF = frozenset({b"avif", b"avis"})
 _SEGMENT = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")  # the head of a part of a JPEG; never stands within pixels
 _SCAN, _END = b"\xda", b"\xd9"
 _TILE_WIDTH, _TILE_HEIGHT = 322, 323  # tags of a TIFF
-_BAND = 1_000_000  # pixels converted at a time
 _RESAMPLINGS = {
     "bilinear": Image.Resampling.BILINEAR,
     "bicubic": Image.Resampling.BICUBIC,
@@ -400,56 +401,3 @@ def _has_too_many_scans(file: IO[bytes]) -> bool:
 
 def _over(limit: int) -> str:
     return f"over {limit} in all: save it smaller"
-
-
-# --- RGB of eight bits, whatever the image holds -------------------------------------------
-
-
-def to_rgb(image: Image.Image) -> Image.Image:
-    """RGB of eight bits: what is transparent over white, deep grey scaled down; RGB is handed back as it is."""
-    if image.mode == "RGB" and not image.has_transparency_data:
-        return image
-    deep = image.mode == "F" or image.mode.startswith("I")  # grey of 16 or 32 bits or of real numbers
-    if deep:
-        import numpy as np
-
-        brightest = max(float(_values(image.crop(band)).max()) for band in _bands(image.size))
-        # Real numbers say nowhere what white is: the smallest of the usual ranges that holds them all.
-        ranges = (1.0, 255.0, 65535.0) if image.mode == "F" else (65535.0,)
-        white = next((top for top in ranges if brightest <= top), brightest)
-    rgb = Image.new("RGB", image.size)
-    for band in _bands(image.size):  # so that nothing is held three times over
-        part = image.crop(band)
-        if deep:
-            eight = (np.clip(_values(part) / white, 0, 1) * 255 + 0.5).astype(np.uint8)
-            rgb.paste(Image.fromarray(eight), band)
-        else:
-            rgb.paste(_over_white(part), band)
-    return rgb
-
-
-def _bands(size: tuple[int, int]) -> Iterator[tuple[int, int, int, int]]:
-    width, height = size
-    rows = max(1, _BAND // width)
-    for low in range(0, height, rows):
-        yield 0, low, width, min(low + rows, height)
-
-
-def _over_white(image: Image.Image) -> Image.Image:
-    if image.mode == "LAB":  # which Pillow converts by profiles only
-        from PIL import ImageCms
-
-        lab, srgb = ImageCms.createProfile("LAB"), ImageCms.createProfile("sRGB")
-        converted = ImageCms.profileToProfile(image, lab, srgb, outputMode="RGB")
-        assert converted is not None
-        return converted
-    if not image.has_transparency_data:
-        return image.convert("RGB")
-    seen = image.convert("RGBA")
-    return Image.alpha_composite(Image.new("RGBA", seen.size, "white"), seen).convert("RGB")
-
-
-def _values(image: Image.Image) -> NDArray[np.float64]:
-    import numpy as np
-
-    return np.nan_to_num(np.asarray(image, dtype=np.float64), posinf=0.0, neginf=0.0)
