@@ -19,8 +19,9 @@ from PIL.TiffImagePlugin import IFDRational
 from salad.errors import PhotoError, PositionError, reason
 from salad.files import write_whole
 from salad.geo import GeoPoint
-from salad.images.decode import on_disk, open_image, quiet_pillow, to_rgb
+from salad.images.decode import on_disk, open_image, quiet_pillow
 from salad.images.metadata import Position
+from salad.images.rgb import to_rgb
 
 if TYPE_CHECKING:
     from salad.images.decode import Pixels
