@@ -73,6 +73,7 @@ class Arena:
         cwd: Path,
         real_models: bool = False,
         memory: int = MEMORY,
+        longest_file: int | None = None,
         seconds: float = SECONDS,
     ) -> Ran:
         """Run `salad ARGUMENTS`.
@@ -82,6 +83,7 @@ class Arena:
             cwd: The folder it runs in.
             real_models: Whether `--model` is read; else every model is a fake one.
             memory: Bytes of address space.
+            longest_file: Bytes that a file may have, as on a disk that is full.
             seconds: How long it may take.
         """
         job = {
@@ -89,6 +91,7 @@ class Arena:
             "cwd": str(cwd),
             "real_models": real_models,
             "memory": memory,
+            "longest_file": longest_file,
             "seconds": seconds,
             "told": str(self.home / "told"),
         }
@@ -206,6 +209,8 @@ def enter(job: dict[str, Any]) -> None:
     os.chdir(job["cwd"])
     resource.setrlimit(resource.RLIMIT_AS, (job["memory"], resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if job.get("longest_file") is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (job["longest_file"], resource.RLIM_INFINITY))
     if "mutate" in job:
         from attack import mutations
 

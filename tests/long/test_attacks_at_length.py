@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import random
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from attack import mutations
-from attack.answers import PHOTOS, an_arena, set_up, trouble
+from attack.answers import an_arena, set_up, trouble
 from attack.arena import Arena
 from attack.attacks import Attack
+from attack.changes import CHANGES, check, held_before, held_by, prepare
 from attack.outside import Scene, differences, seen
 from attack.test_attacks import ALL
 from attack.test_flat import stays_flat, watched
-from earlier_indexes import as_format_1
-from salad.index.index import Index
 
 MUTATIONS = 100_000
 KILLS = 1_000
@@ -56,115 +54,29 @@ def test_ten_thousand_locates_stay_flat(tmp_path: Path) -> None:
     stays_flat(watched(tmp_path, 10_000), megabytes=16)
 
 
-# --- kills of whole commands ---------------------------------------------------------------------
-
-Held = set[str]
-"""Names of photos."""
-
-
-class Killed(NamedTuple):
-    """A command that is killed.
-
-    Attributes:
-        command: Its arguments.
-        comes_of_it: What an index that held some photos holds when the command has come to its end.
-        target: The index that it changes.
-    """
-
-    command: Sequence[str]
-    comes_of_it: Callable[[Held], Held] = lambda held: held
-    target: str = "mine.index"
-
-
-KILLED = {
-    "a new index": Killed(("index", "{photos}", "--to", "{work}/new"), lambda held: ALL_PHOTOS, "new"),
-    "an addition": Killed(("index", "{photos}", "--to", "{work}/mine.index"), lambda held: ALL_PHOTOS),
-    "photos elsewhere": Killed(("index", "{work}/queries", "--to", "{work}/mine.index")),
-    "pruning": Killed(("index", "{work}/gone", "--to", "{work}/mine.index", "--prune")),
-    "a removal": Killed(("remove", "{photos}/1.jpg", "--index", "{work}/mine.index"), lambda held: held - {"1.jpg"}),
-    "an upgrade": Killed(
-        ("remove", "{photos}/1.jpg", "--index", "{work}/earlier.index"),
-        lambda held: held - {"1.jpg"},
-        "earlier.index",
-    ),
-    "a compaction": Killed(("compact", "{work}/mine.index")),
-    "a drop of what is damaged": Killed(
-        ("compact", "{work}/damaged.index", "--drop-damaged"), lambda held: held - {"2.jpg"}, "damaged.index"
-    ),
-    "a compression": Killed(("compress", "{work}/mine.index", "--bytes", "128")),
-    "taking codes away": Killed(("compress", "{work}/mine.index", "--off")),
-    "a merge": Killed(("merge", "{work}/mine.index", "{work}/other.index"), lambda held: held | {"8.jpg"}),
-    "an export": Killed(("export", "{work}/mine.index", "--to", "{work}/exported")),
-    "an import": Killed(("index", "--from", "{work}/sent", "--to", "{work}/new"), lambda held: held, "new"),
-}
-ALL_PHOTOS: Held = {f"{number}.jpg" for number in range(PHOTOS)}
-
-
-def held_by(folder: Path) -> Held:
-    """What an index holds, of which nothing but photo 2 may be damaged, and that only where it was before."""
-    with Index.open(folder) as index:
-        held = {photo.path.name for photo in index.photos()}
-        damaged = [sentence for sentence in index.verify() if "2.jpg" in sentence]
-        assert len(index.verify()) == len(damaged) == (folder.name == "damaged.index" and "2.jpg" in held)
-        return held
-
-
-@pytest.mark.parametrize("what", KILLED)
+@pytest.mark.parametrize("what", CHANGES)
 def test_a_killed_command_leaves_what_was_or_what_comes_of_it(what: str, stage: tuple[Arena, Scene]) -> None:
     arena, scene = stage
-    chance, (command, comes_of_it, changed) = random.Random(what), KILLED[what]
-    arguments = [argument.format(work=scene.work, photos=scene.photos) for argument in command]
+    chance, change = random.Random(what), CHANGES[what]
+    arguments = [argument.format(work=scene.work, photos=scene.photos) for argument in change.command]
     set_up(scene)
     prepare(scene, arena)
-    begun, took, target = scene.given / "begun", None, scene.work / changed
+    begun, took = scene.given / "begun", None
     shutil.copytree(scene.work, begun, symlinks=True)
     killed = 0
-    for _ in range(KILLS // len(KILLED) + 1):
+    for _ in range(KILLS // len(CHANGES) + 1):
         shutil.rmtree(scene.work)
         shutil.copytree(begun, scene.work, symlinks=True)
-        before = held_by(target if target.exists() else scene.work / "mine.index")
-        after, outside = comes_of_it(before), seen(scene.outside)
+        before, outside = held_before(change, scene), seen(scene.outside)
         if took is None:  # once to the end, to know how long it takes
             took = arena.run(*arguments, cwd=scene.work).seconds
             continue
         ran = arena.run(*arguments, cwd=scene.work, seconds=chance.uniform(0.0, 1.1 * took))
         killed += ran.killed
-        if target.exists():
-            now = held_by(target)
-            least, most = (set(), after) if changed == "new" else (before & after, before | after)
-            assert least <= now <= most, f"{what}: {sorted(now)} of {sorted(before)}"
-        if (scene.work / "exported").exists():
-            assert {path.name for path in (scene.work / "exported").iterdir()} == WHOLE_EXPORT
+        check(change, scene, before)
         again = arena.run(*arguments, cwd=scene.work)
         assert again.code in (0, 1) or "exported already exists" in again.err, again
         if what != "an export":
-            assert held_by(target) == after
+            assert held_by(scene.work / change.target) == change.comes_of_it(before)
         assert not differences(outside, seen(scene.outside))
-    assert killed > KILLS / len(KILLED) / 4
-
-
-WHOLE_EXPORT = {"descriptors.npy", "photos.csv", "model.json"}
-
-
-def prepare(scene: Scene, arena: Arena) -> None:
-    """Photos that are gone, an export, another index, one of format 1 and a damaged one, beside the sound one."""
-    work = scene.work
-    shutil.copy(scene.photos / "7.jpg", work / "8.jpg")
-    with (work / "8.jpg").open("ab") as file:
-        file.write(b"another")
-    (work / "gone").mkdir()
-    shutil.copy(scene.photos / "2.jpg", work / "gone" / "2.jpg")
-    for command in (
-        ("index", "8.jpg", "--to", "other.index"),
-        ("export", "mine.index", "--to", "sent"),
-    ):
-        ran = arena.run(*command, cwd=work)
-        assert ran.code == 0, ran
-    shutil.copytree(work / "mine.index", work / "earlier.index")
-    as_format_1(work / "earlier.index")
-    shutil.copytree(work / "mine.index", work / "damaged.index")
-    with Index.open(work / "damaged.index") as index:
-        row = [photo.path.name for photo in index.photos()].index("2.jpg")
-    with next((work / "damaged.index").glob("*.f16")).open("r+b") as matrix:
-        matrix.seek(row * index.dim * 2)
-        matrix.write(bytes(64))
+    assert killed > KILLS / len(CHANGES) / 4
