@@ -158,6 +158,16 @@ def test_what_another_decoder_gave_is_not_found_again(drive: Benchmark, tmp_path
     assert len(anew.seen) == 10
 
 
+def test_a_cache_in_which_nothing_can_be_read_does_not_wait(drive: Benchmark, tmp_path: Path) -> None:
+    model = FakeDescriber()
+    describe_sides(drive, model, cache=tmp_path)
+    (file,) = tmp_path.rglob("*.safetensors")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(BenchmarkError, match="it is no regular file"):
+        describe_sides(drive, model, cache=tmp_path)
+
+
 def test_a_cache_that_cannot_be(drive: Benchmark, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(BenchmarkError, match="cannot be used"):

@@ -28,7 +28,7 @@ from safetensors.numpy import save
 
 from salad.datasets.benchmark import Benchmark
 from salad.errors import BenchmarkError, ModelError, PhotoError, reason
-from salad.files import write_whole
+from salad.files import open_file, write_whole
 from salad.images.decode import DECODER, Pixels
 from salad.images.photo import Photo
 from salad.images.worker_process import PhotoRead
@@ -286,6 +286,7 @@ class _CacheFile:
 
     def keys(self, dim: int) -> list[bytes]:
         """The contents of its photos; none where it is cut short, damaged, or not one of ours."""
+        open_file(self.path).close()  # safetensors would wait for what is no regular file
         try:
             with safe_open(self.path, "numpy") as file:
                 contents, rows = file.get_tensor("contents"), file.get_slice("descriptors")

@@ -19,8 +19,8 @@ from salad.tables import CsvError, read_csv, read_parquet, shown
 
 _NEEDED, _MORE = ("path", "lat", "lon"), ("heading", "time", "lat_ref", "lon_ref")
 _COLUMNS = (*_NEEDED, *_MORE)
-LONGEST_PATH = 4096
-"""Letters of a path that a table names; no system opens longer ones, and to resolve them takes time without end."""
+LONGEST_PATH = 1 << 15
+"""Letters of a path that a table or an index names, the most that any system takes."""
 _LONG_NAME = 40  # characters of a column's name that a sentence tells
 _URL = re.compile("file:(?://(?:localhost)?(?=/))?", re.IGNORECASE)
 _ROOT = re.compile("/*[A-Za-z]:/+|/+")
