@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,7 +22,8 @@ from rich.table import Table
 from salad import __version__
 from salad.cli import main as commands
 from salad.cli import terminal
-from salad.cli.main import COMMANDS, main, run
+from salad.cli.examples import EXAMPLES
+from salad.cli.main import COMMANDS, command_class, main, parsed, run
 
 SUBCOMMANDS = [
     *([name] for name in COMMANDS),
@@ -140,6 +142,33 @@ def test_an_error_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("salad.index.index.Index.open", bug)
     with pytest.raises(ZeroDivisionError):
         run(["info", "x"])
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_ends_with_two_lines_that_can_be_copied(name: str, cli: Any) -> None:
+    helped = cli(name, "--help")
+    assert (helped.code, helped.err) == (0, "")
+    *_, heading, first, second = helped.out.splitlines()
+    assert (heading, first.strip(), second.strip()) == ("examples:", *EXAMPLES[name])
+    for line in EXAMPLES[name]:
+        program, *arguments = shlex.split(line.partition(" > ")[0])
+        assert (program, arguments[0]) == ("salad", name)
+        assert isinstance(parsed(arguments), command_class(name))
+
+
+@pytest.mark.parametrize(
+    ("slip", "meant"),
+    [("locat", "locate"), ("lcoate", "locate"), ("indx", "index"), ("exportmodel", "export-model"), ("zzz", "--help")],
+)
+def test_a_command_written_wrong_is_guessed(slip: str, meant: str, cli: Any) -> None:
+    ran = cli(slip, "x", "--index", "y")
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.err.startswith(f"salad: there is no command '{slip}'")
+    assert meant in ran.err
+
+
+def test_the_version_has_a_short_name(cli: Any) -> None:
+    assert cli("-V").out == cli("--version").out
 
 
 LINES = [["weights", "list"], ["--help"], ["locate", "--help"], ["--version"]]

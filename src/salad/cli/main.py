@@ -84,14 +84,26 @@ def _obeyed(arguments: Sequence[str]) -> int:
     """Run one command; its exit code, or what went wrong."""
     from salad._version import __version__
     from salad.cli import terminal
+    from salad.errors import SaladError
 
-    if list(arguments) == ["--version"]:
+    first = arguments[0] if arguments else ""
+    if list(arguments) in (["--version"], ["-V"]):
         terminal.write(f"salad {__version__}")
         return terminal.FOUND
+    if not first.startswith("-") and first not in ("", *COMMANDS):
+        from difflib import get_close_matches
+
+        meant = get_close_matches(first, COMMANDS, n=1)
+        hint = f"did you mean '{meant[0]}'?" if meant else "'salad --help' lists them"
+        raise SaladError(f"there is no command {first!r}: {hint}")
     try:
         with terminal.results():  # help is one
             command = parsed(arguments)
     except SystemExit as left:  # behind help, and behind what makes no sense
+        if left.code in (0, None) and first in COMMANDS:
+            from salad.cli.examples import EXAMPLES
+
+            terminal.write("\n".join(["examples:", *(f"  {line}" for line in EXAMPLES[first])]))
         return left.code if isinstance(left.code, int) else terminal.FOUND
     from salad.cli.arguments import check_numbers  # it loads the parser, which `--version` has no need of
 
