@@ -20,8 +20,8 @@ from salad.errors import ModelError, PhotoError
 from salad.geo import GeoPoint
 from salad.images import decode
 from salad.images.decode import open_rgb, squeeze
-from salad.images.exif import read_exif, save_jpeg
-from salad.images.metadata import Position
+from salad.images.exif import save_jpeg
+from salad.images.photo import Photo, read_photo
 
 RAMP = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
 COLOURS = np.stack([RAMP, RAMP[::-1], 255 - RAMP], axis=2)
@@ -201,7 +201,7 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path) -> 
     )
     with pytest.raises(PhotoError, match=r"200020000 pixels, over 200000000 in all"):
         open_rgb(path)
-    assert read_exif(path) == Position()
+    assert read_photo(path) == Photo(path)
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.gif", "a.webp"])
@@ -241,7 +241,7 @@ def opens_or_says(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "a.jpg")
         path.write_bytes(content)
-        told = read_exif(path)
+        told = read_photo(path)
         assert told.heading is None or 0 <= told.heading < 360
         try:
             rgb = open_rgb(path)

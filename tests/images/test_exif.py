@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import re
 import string
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 from salad.errors import PhotoError
 from salad.geo import GeoPoint, Utm, from_utm, metres_between
 from salad.images.decode import open_rgb
-from salad.images.exif import from_exif, save_jpeg, to_exif
+from salad.images.exif import changed, from_exif, save_jpeg, to_exif
 from salad.images.metadata import Position
 
 points = st.builds(GeoPoint, st.floats(-79.9, 83.9), st.floats(-180, 180))
@@ -75,10 +77,16 @@ def test_nothing_known_writes_nothing() -> None:
         (dms(37, 30.6, 0), "n", 37.51),
         (dms(37, 30.6), "N ", 37.51),
         (dms(37.51), "S", -37.51),
+        (dms(37, 30, 36), "South", -37.51),
+        (dms(37, 30, 36), "S\0x", -37.51),
+        ((*dms(37, 30.6), IFDRational(0, 0)), "S", -37.51),
+        ((IFDRational(3751, 100), IFDRational(0, 0), IFDRational(0, 0)), "S", -37.51),
+        ((37, 30, 36), "S", -37.51),
+        ("37.51", "S", -37.51),
     ],
 )
 def test_degrees_come_in_one_two_or_three_numbers(lat: Any, ref: str, degrees: float) -> None:
-    told = from_exif(exif_of({1: ref, 2: lat, 3: "W", 4: dms(122, 0, 0)}))
+    told = from_exif(Given({1: ref, 2: lat, 3: "W", 4: dms(122, 0, 0)}))
     assert told.where is not None
     assert told.where.lat == pytest.approx(degrees)
     assert told.where.lon == -122
@@ -97,8 +105,54 @@ def test_degrees_come_in_one_two_or_three_numbers(lat: Any, ref: str, degrees: f
         {1: "N", 2: dms(1, 2, 3, 4), 3: "W", 4: dms(122, 0, 0)},
     ],
 )
-def test_a_broken_position_is_none(gps: dict[int, Any]) -> None:
-    assert from_exif(exif_of(gps)).where is None
+def test_a_broken_position_is_none_and_said(gps: dict[int, Any]) -> None:
+    told = from_exif(exif_of(gps))
+    assert told.where is None
+    assert bool(told.remark) == (2 in gps or 4 in gps)
+    assert "nan" not in told.remark
+
+
+@pytest.mark.parametrize(
+    ("gps", "said"),
+    [
+        ({2: dms(37, 30, 36), 4: dms(122, 0, 0)}, "none of the letters N or S"),
+        ({1: "N", 2: dms(37, 30, 36), 3: "\0W", 4: dms(122, 0, 0)}, "none of the letters E or W"),
+        ({1: "E", 2: dms(37, 30, 36), 3: "S", 4: dms(122, 0, 0)}, "'E' in place of N or S"),
+        ({1: "N", 2: dms(37, 30, 36)}, "no longitude"),
+        ({1: "N", 2: (IFDRational(0, 0),) * 3, 3: "W", 4: dms(122, 0, 0)}, r"not understood \(0/0 0/0 0/0 N\)"),
+        ({1: "N", 2: (37, IFDRational(0, 0)), 3: "W", 4: dms(122, 0, 0)}, "latitude in its EXIF is not understood"),
+        ({1: "N", 2: (-37, 30, 36), 3: "W", 4: dms(122, 0, 0)}, "latitude in its EXIF is not understood"),
+        ({1: "N", 2: dms(37, 30, 36), 3: "W", 4: dms(361, 0, 0)}, "longitude in its EXIF is not understood"),
+        ({1: "N", 2: dms(37, 30, 36), 3: "W", 4: dms(122, 0, 0), 17: 65535}, "direction"),
+    ],
+)
+def test_what_is_not_understood_is_said_and_never_guessed(gps: dict[int, Any], said: str) -> None:
+    told = from_exif(Given(gps))
+    assert told.where is None or 17 in gps
+    assert re.search(said, told.remark)
+
+
+@given(st.floats(180, 360), st.sampled_from("EW"))
+def test_longitudes_go_on_beyond_180(degrees: float, letter: str) -> None:
+    told = from_exif(Given({1: "N", 2: (10,), 3: letter, 4: (degrees,)})).where
+    assert told is not None
+    assert metres_between(told, shifted_round(10, degrees if letter == "E" else -degrees)) < 1e-3
+
+
+def shifted_round(lat: float, lon: float) -> GeoPoint:
+    return GeoPoint(lat, math.degrees(math.atan2(math.sin(math.radians(lon)), math.cos(math.radians(lon)))))
+
+
+def test_a_minus_that_says_the_same_as_the_letter_is_no_riddle() -> None:
+    told = from_exif(Given({1: "S", 2: (-36, -48, 0), 3: "E", 4: (174.75,)}))
+    assert told.where == GeoPoint(-36.8, 174.75)
+
+
+class Given(dict[int, Any]):
+    """An EXIF whose tables all hold the same, of whatever types."""
+
+    def get_ifd(self, tag: int) -> dict[int, Any]:
+        return dict(self)
 
 
 class Cursed(dict[int, Any]):
@@ -114,10 +168,12 @@ def test_tables_that_cannot_be_read_say_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("direction", "heading"),
-    [(90.25, 90.25), (0, 0), (360, 0), (360.5, None), (65535, None)],
+    [(90.25, 90.25), (0, 0), (360, 0), (360.5, 0.5), (450, 90), (-90, 270), (65535, None), (-1e9, None)],
 )
 def test_image_direction_is_the_heading(direction: float, heading: float | None) -> None:
-    assert from_exif(exif_of({17: IFDRational(direction)})).heading == heading
+    # As a real number, since EXIF's fractions have no sign.
+    assert from_exif(Given({17: direction})).heading == heading
+    assert from_exif(Given({17: IFDRational(0, 0)})) == Position()
 
 
 @pytest.mark.parametrize(
@@ -142,9 +198,43 @@ def test_original_time_with_its_offset(text: str, offset: str | None, time: date
     assert time is None or (told.time is not None and told.time.tzinfo == time.tzinfo)
 
 
+ORIGINAL, DIGITISED, FILE = (
+    {0x9003: "2020:01:02 03:04:05"},
+    {0x9004: "2020:01:02 03:04:06"},
+    {0x132: "2020:01:03 00:00:00"},
+)
+GPS_TIME = {29: "2020:01:02", 7: (2, 4, 5.5)}
+
+
+def test_the_first_time_that_says_something_counts() -> None:
+    utc = datetime(2020, 1, 2, 2, 4, 5, 500000, tzinfo=UTC)
+    for tags, time in (
+        ({**ORIGINAL, **DIGITISED, **GPS_TIME}, datetime(2020, 1, 2, 3, 4, 5)),
+        ({0x9003: "0001:01:01 00:00:00", **DIGITISED, **GPS_TIME}, datetime(2020, 1, 2, 3, 4, 6)),
+        (GPS_TIME, utc),
+        ({**GPS_TIME, 7: (25, 0, 0)}, None),
+        ({29: "2020:01:02"}, None),
+        ({7: (1, 2, 3)}, None),
+        (FILE, None),
+    ):
+        assert from_exif(Given(tags)).time == time
+    assert changed(Given(FILE)).time == datetime(2020, 1, 3)
+    assert changed(Given(FILE)).source is None
+
+
+def test_fractions_and_offsets_belong_to_their_time() -> None:
+    tags = {**ORIGINAL, **DIGITISED, 0x9291: "25", 0x9292: "5", 0x9011: "+02:00", 0x9012: "-01:00", 0x9010: "+09:00"}
+    east = timezone(timedelta(hours=2))
+    assert from_exif(Given(tags)).time == datetime(2020, 1, 2, 3, 4, 5, 250000, tzinfo=east)
+    del tags[0x9011]
+    assert from_exif(Given(tags)).time == datetime(2020, 1, 2, 3, 4, 5, 250000, tzinfo=timezone(timedelta(hours=9)))
+    del tags[0x9003]
+    assert from_exif(Given(tags)).time == datetime(2020, 1, 2, 3, 4, 6, 500000, tzinfo=timezone(timedelta(hours=-1)))
+
+
 @given(
     st.dictionaries(
-        st.sampled_from([1, 2, 3, 4, 16, 17]),
+        st.sampled_from([1, 2, 3, 4, 7, 16, 17, 29, 0x132, 0x9003, 0x9011, 0x9291]),
         st.text(max_size=6)
         | st.binary(max_size=6)
         | st.none()
@@ -153,11 +243,7 @@ def test_original_time_with_its_offset(text: str, offset: str | None, time: date
     )
 )
 def test_no_tag_crashes(gps: dict[int, Any]) -> None:
-    class Given:
-        def get_ifd(self, tag: int) -> dict[int, Any]:
-            return gps
-
-    told = from_exif(Given())
+    told = from_exif(Given(gps))
     assert told.heading is None or 0 <= told.heading < 360
 
 

@@ -20,7 +20,7 @@ from salad.errors import PhotoError
 from salad.geo import GeoPoint, metres_between
 from salad.images import decode
 from salad.images.decode import open_rgb
-from salad.images.exif import read_exif, save_jpeg
+from salad.images.exif import save_jpeg
 from salad.images.finding import find_photos
 from salad.images.photo import read_photo
 
@@ -45,7 +45,7 @@ def encoded(form: str, size: tuple[int, int] = (16, 16), **how: Any) -> bytes:
 def refused(path: Path, content: bytes) -> str:
     """The sentence that `open_rgb` has for a file; its EXIF says nothing, in peace."""
     path.write_bytes(content)
-    read_exif(path)
+    read_photo(path)
     with pytest.raises(PhotoError) as caught:
         open_rgb(path)
     said = str(caught.value)

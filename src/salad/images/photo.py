@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -10,9 +11,12 @@ from typing import IO, TYPE_CHECKING, Any
 
 from salad.geo import GeoPoint
 from salad.images.at_names import parse_at_name
-from salad.images.decode import existing, in_memory, naming
-from salad.images.exif import read_exif
+from salad.images.decode import existing, in_memory, naming, on_disk, open_image
+from salad.images.embedded import embedded
+from salad.images.exif import changed, from_exif
 from salad.images.metadata import NOTHING_SAID, SOURCES, Position, settled
+from salad.images.sidecars import read_sidecars
+from salad.images.xmp import parse_xmp
 
 if TYPE_CHECKING:
     from salad.images.photo_table import PhotoTable
@@ -68,10 +72,31 @@ def read_photo(path: Path, table: PhotoTable | None = None, *, file: IO[bytes] |
         PhotoError: If there is no such file.
     """
     path = Path(path) if file is not None else existing(Path(path))
-    known = settled([parse_at_name(path.name) or Position(), read_exif(path, file=file)])
+    known = settled(sayings(path, file=file))
     if known.where is None and not known.remark:
         known = replace(known, remark=NOTHING_SAID)
     return placed(Photo.of(path, known), table)
+
+
+def sayings(path: Path, *, file: IO[bytes] | None = None) -> list[Position]:
+    """All that a photo's name, its file and the files beside it say of it, each on its own; `settled` says what counts.
+
+    Args:
+        path: The file.
+        file: The same file where it is held in memory already; read from its beginning.
+    """
+    said = [] if (name := parse_at_name(path.name)) is None else [name]
+    said += read_sidecars(path)
+    with suppress(Exception), on_disk(path) if file is None else nullcontext(file) as source:  # `decode` says why not
+        image = open_image(path, source)
+        found = embedded(image, source)
+        # Of several EXIF the last counts, as exiftool has it.
+        said += [from_exif(exif) for exif in reversed(found.exif)]
+        said += [parse_xmp(packet) for packet in found.xmp]
+        said += [changed(exif) for exif in reversed(found.exif)]
+        if found.damaged:
+            said.append(Position(source="exif", remark="its EXIF is damaged"))
+    return said
 
 
 def placed(photo: Photo, table: PhotoTable | None) -> Photo:
