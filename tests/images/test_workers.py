@@ -367,9 +367,9 @@ def test_one_trip_brings_all_of_a_photo_from_the_same_bytes(tmp_path: Path, monk
     found = read(path, SHAPE)
     assert found[:2] == due[:2]
     assert np.array_equal(found.pixels, due.pixels)
-    assert opened == [path]
+    assert opened.count(path) == 1  # what may stand beside it is looked for too
     assert read(path) == (*due[:2], None, "")
-    assert opened == [path, path]
+    assert opened.count(path) == 2
 
 
 def test_a_photo_that_cannot_be_decoded_is_known_all_the_same(tmp_path: Path) -> None:
