@@ -20,8 +20,9 @@ from PIL.TiffImagePlugin import IFDRational
 from salad.errors import PhotoError, reason
 from salad.files import write_whole
 from salad.geo import GeoPoint
-from salad.images.decode import quiet_pillow, to_rgb
+from salad.images.decode import quiet_pillow
 from salad.images.metadata import Position
+from salad.images.rgb import to_rgb
 from salad.images.times import parse_time
 from salad.tables import shown
 
