@@ -187,10 +187,11 @@ def test_a_disk_as_it_was_found(cases: Path, tmp_path: Path, lock: Callable[[Pat
     (disk / "lost+found").mkdir(exist_ok=True)
     lock(disk / "lost+found")
     found = look_through([disk])
-    assert [path.name for path in found.photos] == ["IMG_0001.JPG", "IMG_0002.JPG", "IMG_0003.JPG"]
+    names = ["IMG_0001.JPG", "IMG_0002.JPG", "IMG_0006.HIF", "pano.insp", "IMG_0003.JPG"]
+    assert [path.name for path in found.photos] == names
     assert list(found.unreadable) == [str(disk / "lost+found")]
     kinds = {each.kind for each in found.passed_over}
-    assert {"@eaDir", "#recycle", "$RECYCLE.BIN", "__MACOSX", ".mp4", ".insp"} <= kinds
+    assert {"@eaDir", "#recycle", "$RECYCLE.BIN", "__MACOSX", ".mp4", ".dng", ".jxl"} <= kinds
 
 
 NAMES = st.sampled_from(

@@ -26,6 +26,9 @@ from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from salad.errors import MissingExtraError, ModelError, PhotoError, reason
 from salad.files import open_file, read_file
+from salad.images import jpeg
+from salad.images.kinds import not_read_here
+from salad.images.raw import embedded, is_raw
 from salad.images.rgb import to_rgb
 
 DECODER = 3
@@ -43,8 +46,6 @@ Decoded whole, one of that size takes 1.7 GB (about 8 bytes a pixel, measured; H
 photo never takes much over 2 GB."""
 MAX_SIDE = 1_000_000
 """Longest side that is opened: a picture one pixel high would take gigabytes to squeeze, not to decode."""
-MAX_SCANS = 100
-"""Passes over a progressive JPEG that are decoded: each costs time for every pixel, and a dozen is usual."""
 
 # numpy is brought in by what needs it: it is half of what a process takes to start that reads photos.
 if TYPE_CHECKING:
@@ -70,9 +71,9 @@ _COSTLY = ("WEBP", "JPEG2000")  # their decoders take 16 to 21 bytes a pixel, so
 _REDUCED = ("JPEG", "MPO")  # formats that can be decoded smaller; HEIC's own small picture is another picture
 _HEIC = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"})
 _AVIF = frozenset({b"avif", b"avis"})
-_SEGMENT = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")  # the head of a part of a JPEG; never stands within pixels
-_SCAN, _END = b"\xda", b"\xd9"
 _TILE_WIDTH, _TILE_HEIGHT = 322, 323  # tags of a TIFF
+_ORIENTATION = 0x0112  # a tag of EXIF
+_FORBIDDEN = (errno.EACCES, errno.EPERM)
 _RESAMPLINGS = {
     "bilinear": Image.Resampling.BILINEAR,
     "bicubic": Image.Resampling.BICUBIC,
@@ -174,18 +175,15 @@ def _load(
 ) -> Image.Image:
     path = Path(path)
     source = in_memory(path) if file is None else file
-    with naming(path):
-        image = open_image(path, source)
-        if grant is not None:
-            grant(image.width * image.height / _most_pixels(image))
-        if image.info.get("progressive") and _has_too_many_scans(source):
-            raise PhotoError(f"{path} has over {MAX_SCANS} passes over its pixels: save it anew")
-        if at_least is not None and image.format in _REDUCED:
-            side = max(at_least) * 2  # both ways, since the photo may yet be turned
-            image.draft("RGB", (side, side))
-        complains = image.format == "TIFF"  # no other format warns while it decodes
-        with quiet_pillow() if complains else nullcontext():
-            image.load()
+    with naming(path, source):
+        turned = None
+        data = _all(source)
+        if is_raw(path, data):
+            picture = embedded(path, data)
+            source, turned = io.BytesIO(picture.data), picture.orientation
+        image = _decoded(path, source, at_least, grant)
+        if turned is not None and _ORIENTATION not in (exif := image.getexif()):
+            exif[_ORIENTATION] = turned
         try:
             # Turned before it is converted, and in place: at no time are there more than two copies of it.
             with quiet_pillow():
@@ -198,6 +196,34 @@ def _load(
         if rgb is not image:
             image.close()
         return rgb
+
+
+def _decoded(
+    path: Path, source: IO[bytes], at_least: tuple[int, int] | None, grant: Callable[[float], None] | None
+) -> Image.Image:
+    """The image as the file has it, its pixels in memory."""
+    image = open_image(path, source)
+    if grant is not None:
+        grant(image.width * image.height / _most_pixels(image))
+    data = _all(source)
+    if image.info.get("progressive") and jpeg.has_too_many_scans(data):
+        raise PhotoError(f"{path} has over {jpeg.MAX_SCANS} passes over its pixels: save it anew")
+    if at_least is not None and image.format in _REDUCED:
+        side = max(at_least) * 2  # both ways, since the photo may yet be turned
+        image.draft("RGB", (side, side))
+    complains = image.format == "TIFF"  # no other format warns while it decodes
+    if complains and image.info.get("compression") == "webp":  # of which libtiff would speak to the terminal itself
+        raise UnidentifiedImageError
+    try:
+        with quiet_pillow() if complains else nullcontext():
+            image.load()
+    except OSError as error:
+        cut = image.format in _REDUCED and str(error).startswith("image file is truncated")
+        ended = jpeg.ended(data) if cut else None
+        if ended is None:
+            raise
+        return _decoded(path, io.BytesIO(ended), at_least, grant)
+    return image
 
 
 def squeeze(image: Image.Image, height: int, width: int, resample: str = "bilinear") -> Pixels:
@@ -274,6 +300,8 @@ def existing(path: Path) -> Path:
     try:
         status = path.stat()
     except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno in _FORBIDDEN:  # a folder on the way
+            raise _forbidden(path) from error
         raise PhotoError(f"there is no photo at {path} ({reason(error)}): check the name") from error
     if stat.S_ISDIR(status.st_mode):
         raise PhotoError(f"{path} is a folder, not a photo: name a photo in it")
@@ -283,28 +311,49 @@ def existing(path: Path) -> Path:
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Turn whatever is raised inside into a PhotoError that names the file."""
+def naming(path: Path, file: IO[bytes] | None = None) -> Iterator[None]:
+    """Turn whatever is raised inside into a PhotoError that names the file.
+
+    Args:
+        path: What sentences call it.
+        file: The same file where it is held in memory: what it is that is no photo can then be said.
+    """
     try:
         yield
     except PhotoError:
         raise
     except UnidentifiedImageError as error:
-        raise PhotoError(f"{path} is not an image that can be read: save it as JPEG or PNG, or leave it out") from error
+        said = _kind(file) or "is not an image that can be read: save it as JPEG or PNG, or leave it out"
+        raise PhotoError(f"{path} {said}") from error
     except MemoryError as error:
         raise PhotoError(f"{path} needs more memory than there is: save it smaller or leave it out") from error
     except OSError as error:
         if error.errno is None or error.strerror is None:  # a decoder's word for bytes that make no sense
-            raise _damaged(path, error) from error
+            raise _damaged(path, file) from error
+        if error.errno in _FORBIDDEN:
+            raise _forbidden(path) from error
         advice = "save it smaller" if error.errno == errno.EFBIG else "check the file"
         raise PhotoError(f"{path} cannot be read ({error.strerror}): {advice} or leave it out") from error
     except Exception as error:  # decoders raise anything at all on broken bytes
-        raise _damaged(path, error) from error
+        raise _damaged(path, file) from error
 
 
-def _damaged(path: Path, error: Exception) -> PhotoError:
-    told = " ".join(str(error).split()) or type(error).__name__
-    return PhotoError(f"{path} is damaged or cut short ({told}): fetch it again or leave it out")
+def _damaged(path: Path, file: IO[bytes] | None) -> PhotoError:
+    # What the decoder says of it is the error's cause, and no help to whoever has the photo.
+    return PhotoError(f"{path} {_kind(file) or 'is damaged or cut short: fetch it again or leave it out'}")
+
+
+def _kind(file: IO[bytes] | None) -> str:
+    return "" if file is None else not_read_here(_all(file))
+
+
+def _all(file: IO[bytes]) -> bytes:
+    file.seek(0)
+    return file.read()  # held in memory already: no copy
+
+
+def _forbidden(path: Path) -> PhotoError:
+    return PhotoError(f"{path} may not be read: ask for permission, or leave it out")
 
 
 def open_image(path: Path, file: IO[bytes]) -> Image.Image:
@@ -386,17 +435,6 @@ def _check_size(path: Path, image: Image.Image) -> None:
 
 def _most_pixels(image: Image.Image) -> int:
     return MAX_PIXELS // 2 if image.format in _COSTLY else MAX_PIXELS
-
-
-def _has_too_many_scans(file: IO[bytes]) -> bool:
-    """Whether a JPEG has over `MAX_SCANS` passes over its pixels; of the file no more is looked at than tells."""
-    file.seek(0)
-    data = file.read()  # held in memory already: no copy
-    scans, at = 0, 2
-    while scans <= MAX_SCANS and (head := _SEGMENT.search(data, at)) and head[1] != _END:
-        scans += head[1] == _SCAN
-        at = head.end() + int.from_bytes(data[head.end() : head.end() + 2], "big")  # a preview's passes are not its own
-    return scans > MAX_SCANS
 
 
 def _over(limit: int) -> str:

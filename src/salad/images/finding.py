@@ -22,7 +22,7 @@ from salad.tables import bounded_lines
 
 SUFFIXES = frozenset(
     {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff", ".bmp", ".gif"}
-    | {".ppm", ".pgm", ".pnm", ".jp2", ".avif", ".heic", ".heif"}
+    | {".ppm", ".pgm", ".pnm", ".jp2", ".avif", ".heic", ".heif", ".heics", ".hif", ".insp"}
 )
 """What a photo's name ends in, in small letters; a folder's other files are not photos."""
 SIDECARS = frozenset({".xmp", ".json"})
