@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,7 @@ def test_every_setting_reaches_the_recipe() -> None:
         "tuned_share": 0.5,
     }
     by_stage = {"head_steps", "tune_steps", "epochs"}  # of these, the next test
-    assert given.keys() | by_stage == {field.name for field in fields(Recipe)}
+    assert given.keys() | by_stage == {field.name for field in fields(Recipe)} - {"version"}
     recipe = TrainCommand(preset="tiny", **given)._preset().recipe
     assert {name: getattr(recipe, name) for name in given} == given
     assert (recipe.head_steps, recipe.tune_steps) == (1, 3)
@@ -124,6 +124,15 @@ def test_a_run_can_be_insisted_on(cli: Cli, tmp_path: Path, data: Path) -> None:
 
 
 @pytest.mark.torch
+def test_a_run_begun_with_kornias_changes_goes_on_with_them(cli: Any, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    written = {name: value for name, value in asdict(PRESETS["paper"].recipe).items() if name != "version"}
+    (run / "config.json").write_text(json.dumps({"recipe": written}), encoding="utf-8")
+    told = cli("train", "--data", tmp_path, "--to", run, "--preset", "paper", "--dry-run", "--accelerator", "cpu")
+    assert "kornia's RandAugment, as the run was begun" in told.err
+
+
 def test_a_dry_run_tells_and_writes_nothing(
     cli: Cli, tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

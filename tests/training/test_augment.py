@@ -34,7 +34,7 @@ def test_photos_stay_photos_of_their_size(name: Augmentation, size: tuple[int, i
     assert not any(weight.requires_grad for weight in change.parameters())
 
 
-@pytest.mark.parametrize("name", ["lite", "paper", "robust"])
+@pytest.mark.parametrize("name", ["lite", "paper", "kornia", "robust"])
 def test_the_seed_decides_and_every_call_is_fresh(name: Augmentation) -> None:
     change = augmentation(name, 32, 32)
     torch.manual_seed(3)
@@ -56,7 +56,7 @@ def test_none_changes_nothing() -> None:
     assert torch.equal(augmentation("none", 32, 32)(photos()), photos())
 
 
-@pytest.mark.parametrize("name", ["paper", "robust", "lite"])
+@pytest.mark.parametrize("name", ["paper", "kornia", "robust", "lite"])
 def test_photos_of_a_batch_change_each_in_its_own_way(name: Augmentation) -> None:
     torch.manual_seed(5)
     same = photos(1).expand(16, -1, -1, -1)
@@ -64,11 +64,12 @@ def test_photos_of_a_batch_change_each_in_its_own_way(name: Augmentation) -> Non
     assert len({tuple(photo.flatten().tolist()) for photo in seen}) >= 12
 
 
-def test_what_the_paper_does_to_a_photo_leaves_it_in_sight() -> None:
+@pytest.mark.parametrize("name", ["paper", "kornia"])
+def test_what_the_paper_does_to_a_photo_leaves_it_in_sight(name: Augmentation) -> None:
     """Three operations at 9 of 30 are mild: lights go both ways, and nothing is turned into its negative."""
     torch.manual_seed(0)
     given = photos(60, 48, 48)
-    seen = augmentation("paper", 48, 48)(given)
+    seen = augmentation(name, 48, 48)(given)
     inner = (slice(None), slice(None), slice(16, 32), slice(16, 32))
     lighter = (seen[inner] - given[inner]).mean(dim=(1, 2, 3))
     assert int((lighter > 0.01).sum()) > 8
@@ -76,7 +77,7 @@ def test_what_the_paper_does_to_a_photo_leaves_it_in_sight() -> None:
     alike = torch.stack(
         [torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1] for a, b in zip(seen, given, strict=True)]
     )
-    assert float(alike.median()) > 0.5
+    assert float(alike.median()) > 0.4
 
 
 def test_lite_draws_what_it_has_always_drawn() -> None:
@@ -192,7 +193,7 @@ def test_low_resolution_takes_a_share_of_the_photos() -> None:
     assert 30 < int(changed.sum()) < 90
 
 
-@pytest.mark.parametrize("name", ["lite", "paper", "robust"])
+@pytest.mark.parametrize("name", ["lite", "kornia", "robust"])
 def test_without_the_extra_its_name_is_told(name: Augmentation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "kornia", None)
     with pytest.raises(MissingExtraError, match="training needs the 'train' extra"):
@@ -201,5 +202,5 @@ def test_without_the_extra_its_name_is_told(name: Augmentation, monkeypatch: pyt
 
 def test_an_augmentation_there_is_not_lists_those_there_are() -> None:
     unknown: Any = "wild"
-    with pytest.raises(ModelError, match="no augmentation 'wild': choose one of lite, paper, robust, none"):
+    with pytest.raises(ModelError, match="no augmentation 'wild': choose one of lite, paper, kornia, robust, none"):
         augmentation(unknown, 32, 32)

@@ -19,7 +19,8 @@ from salad.network.network import Network
 from salad.training.augment import augmentation
 from salad.training.loss import multi_similarity
 from salad.training.optim import build_optimizer, learning_rate_factor
-from salad.training.recipe import PRESETS, Preset, Recipe, preset
+from salad.training.rand_augment import RandAugment
+from salad.training.recipe import PRESETS, Preset, Recipe, preset, with_defaults
 
 PAPER = PRESETS["paper"]
 LINES: list[tuple[str, Any, Any]] = [
@@ -66,12 +67,16 @@ def test_the_papers_loss_is_the_loops() -> None:
 
 
 def test_the_papers_changes_are_randaugment_of_three() -> None:
-    from kornia.augmentation.auto import RandAugment
+    (found,) = (part for part in augmentation("paper", 224, 224).modules() if isinstance(part, RandAugment))
+    assert found.count == 3
 
-    found = [part for part in augmentation("paper", 224, 224).modules() if isinstance(part, RandAugment)]
-    torch.manual_seed(0)
-    assert found
-    assert {len(list(each.get_forward_sequence())) for each in found} == {3}
+
+def test_a_recipe_written_before_the_papers_changes_were_its_own_means_kornias() -> None:
+    now = dataclasses.asdict(PAPER.recipe)
+    assert with_defaults(now)["augment"] == "paper"
+    before = {name: value for name, value in now.items() if name != "version"}
+    assert with_defaults(before) == now | {"augment": "kornia"}
+    assert with_defaults(before | {"augment": "robust"})["augment"] == "robust"
 
 
 def test_the_papers_rate_over_its_iterations() -> None:

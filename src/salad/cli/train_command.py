@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 
 
 Rate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
-Augment = Annotated[Literal["lite", "paper", "robust", "none"] | None, arg(help_behavior_hint="", metavar="NAME")]
+Augment = Annotated[
+    Literal["lite", "paper", "kornia", "robust", "none"] | None, arg(help_behavior_hint="", metavar="NAME")
+]
 Sampling = Annotated[Literal["mixed", "one-city", "cliques"] | None, arg(help_behavior_hint="", metavar="NAME")]
+PRECISIONS = ("bf16-mixed", "16-mixed", "32-true")
 Precision = Annotated[Literal["bf16-mixed", "16-mixed", "32-true"] | None, arg(help_behavior_hint="", metavar="NAME")]
 
 
@@ -214,13 +217,20 @@ class TrainCommand:
         return replace(chosen, recipe=replace(recipe, **given))
 
     def _here(self, preset: Preset) -> Preset:
-        """The preset with a precision that this machine computes in, unless one was given or the run has one."""
-        from salad.training.checkpoint import precision_of_run
+        """The preset as the run was begun; of a new one, with a precision that this machine computes in."""
+        from salad.training.checkpoint import recipe_of_run
         from salad.training.devices import first_process, precision_here
 
+        run = {} if self.to is None else recipe_of_run(self.to)
+        if self.augment is None and (preset.recipe.augment, run.get("augment")) == ("paper", "kornia"):
+            if first_process():
+                terminal.say(
+                    "photos are changed by kornia's RandAugment, as the run was begun; --augment says otherwise"
+                )
+            preset = replace(preset, recipe=replace(preset.recipe, augment="kornia"))
         wanted = preset.recipe.precision
-        begun = None if self.to is None else precision_of_run(self.to)
-        chosen = begun or precision_here(wanted, self.accelerator)
+        begun = run.get("precision")
+        chosen = begun if begun in PRECISIONS else precision_here(wanted, self.accelerator)
         if self.precision is not None or chosen == wanted:
             return preset
         if first_process():

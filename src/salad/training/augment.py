@@ -13,9 +13,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salad.errors import ModelError, needs_extra
+from salad.training.rand_augment import RandAugment
 
 Photos = Float[Tensor, "batch 3 height width"]
-Augmentation = Literal["lite", "paper", "robust", "none"]
+Augmentation = Literal["lite", "paper", "kornia", "robust", "none"]
 CUTTING: frozenset[Augmentation] = frozenset({"lite", "robust"})
 """Those that cut the photo they make out of the one they are given, which may be larger."""
 
@@ -28,8 +29,8 @@ def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
     """Photos in 0..1 -> photos as another camera might have taken them, fresh at every call.
 
     Args:
-        name: `lite`, as the model that ships was trained; `paper`, RandAugment of three operations; `robust`,
-            also night, fog, snow, rain and compression; `none`.
+        name: `lite`, as the model that ships was trained; `paper`, RandAugment of three operations; `kornia`,
+            that library's, as `paper` was until 2026-11; `robust`, also night, fog, snow, rain and compression; `none`.
         height: of the photos made, in pixels; but for those that are cutting, of the photos given too.
         width: the same.
 
@@ -41,7 +42,9 @@ def augmentation(name: Augmentation, height: int, width: int) -> nn.Module:
     if name == "lite":
         changes = lite_changes(height, width)
     elif name == "paper":
-        changes = paper_changes()
+        changes = [RandAugment()]
+    elif name == "kornia":
+        changes = kornia_changes()
     elif name == "robust":
         changes = robust_changes(height, width)
     elif name != "none":
@@ -73,15 +76,10 @@ def lite_changes(height: int, width: int) -> list[nn.Module]:
     ]
 
 
-def paper_changes() -> list[nn.Module]:
-    """RandAugment with three operations at the usual magnitude, 9 of 30; each photo draws its own.
-
-    The operations are those of torchvision's RandAugment, in its ranges.
-
-    Source: Cubuk et al., "RandAugment: Practical automated data augmentation with a reduced search space", 2020.
-    """
+def kornia_changes() -> list[nn.Module]:
+    """RandAugment by kornia at about the paper's strengths: thirteen operations, of which three different are drawn."""
     _kornia()
-    from kornia.augmentation.auto import RandAugment
+    from kornia.augmentation.auto import RandAugment as OfKornia
 
     moves = {"rotate": 30.0, "shear_x": _SHEAR, "shear_y": _SHEAR, "translate_x": 0.45, "translate_y": 0.45}
     others = [
@@ -96,7 +94,7 @@ def paper_changes() -> list[nn.Module]:
     for least, most in ((1.0, 1.9), (0.61, 1.0)):
         lights = [(name, least, most) for name in ("brightness", "color", "contrast", "sharpness")]
         operations = [*lights, *((name, -far, far) for name, far in moves.items()), *others]
-        both.append(RandAugment(n=3, m=9, policy=[[operation] for operation in operations]))
+        both.append(OfKornia(n=3, m=9, policy=[[operation] for operation in operations]))
     return [OneByOne(*both)]
 
 

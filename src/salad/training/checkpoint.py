@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -27,7 +27,7 @@ from salad.network.checkpoints import load_pickle
 from salad.network.config import ModelConfig
 from salad.network.network import Network
 from salad.training.devices import versions
-from salad.training.recipe import Precision, Preset, Recipe, with_defaults
+from salad.training.recipe import Preset, Recipe, with_defaults
 
 CHECKPOINT, LOG, CONFIG, MODEL, LAST = "last.ckpt", "log.jsonl", "config.json", "model", "last"
 STOPPED = "stopped.json"
@@ -139,13 +139,12 @@ def run_identity(
     }
 
 
-def precision_of_run(folder: Path) -> Precision | None:
-    """How the run that was begun in a folder holds its numbers; None where there is none."""
+def recipe_of_run(folder: Path) -> dict[str, Any]:
+    """The recipe of the run that was begun in a folder, as it was written down; empty where there is none."""
     try:
-        held = read_json(folder / CONFIG)["recipe"]["precision"]
+        return with_defaults(read_json(folder / CONFIG)["recipe"])
     except (OSError, ValueError, KeyError, TypeError):  # whatever is wrong with it is said where the run is read
-        return None
-    return held if held in get_args(Precision) else None
+        return {}
 
 
 def run_config(preset: Preset, places: Sequence[TrainingPlace], *, start: str, steps: int) -> dict[str, Any]:

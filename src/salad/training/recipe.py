@@ -15,7 +15,7 @@ from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.config import VITS, LiteConfig, ModelConfig, Preprocessing, ViTConfig
 
 Precision = Literal["bf16-mixed", "16-mixed", "32-true"]
-Augment = Literal["lite", "paper", "robust", "none"]
+Augment = Literal["lite", "paper", "kornia", "robust", "none"]
 Sampling = Literal["mixed", "one-city", "cliques"]
 
 
@@ -60,7 +60,7 @@ class Recipe:
         measure_every: steps between two measurements on the places held out; the best of all is kept.
         save_every: steps between two checkpoints; one is written at each measurement too.
         precision: Fabric's word for it; `bf16-mixed` halves the time where the processor has bfloat16.
-        augment: how photos are changed: `lite`, `paper` (RandAugment), `robust`, or `none`.
+        augment: how photos are changed: `lite`, `paper` (RandAugment), `kornia` (that library's), `robust`, or `none`.
         sampler: how batches are drawn: `mixed` from all cities, each from `one-city`, or of `cliques` of places
             that look alike to the model as it stands.
         mirror: whether half of the places are mirrored; a mirrored place is another place.
@@ -77,6 +77,7 @@ class Recipe:
         seed: of everything random.
         split_seed: of which places are held out, where not `seed` too. Runs of other seeds that are to be compared,
             averaged, or gone on with from one another need the same places held out.
+        version: of what the settings mean. Before 2, `paper` was what `kornia` is.
 
     Raises:
         ModelError: If a number is out of its range, or two settings do not go together.
@@ -112,6 +113,7 @@ class Recipe:
     clique: int = 4
     seed: int = 0
     split_seed: int | None = None
+    version: int = 2
 
     def __post_init__(self) -> None:
         for name, least in _LEAST.items():
@@ -174,7 +176,10 @@ class Recipe:
 
 def with_defaults(settings: Mapping[str, Any]) -> dict[str, Any]:
     """A recipe as it was written down, with what an older version did not know at its default."""
-    return {**asdict(Recipe()), **settings}
+    written = dict(settings)
+    if "version" not in written and written.get("augment") == "paper":
+        written["augment"] = "kornia"
+    return {**asdict(Recipe()), **written}
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,7 +103,13 @@ class TokenCache:
         """Names what decides all files alike: the backbone, how photos are read and changed, the precision."""
         recipe = self.batches.recipe
         size = asdict(training_preprocessing(self.model, recipe))
-        decides = [self.model.config.as_dict()["backbone"], size, DECODER, recipe.augment, recipe.precision]
+        decides = [
+            self.model.config.as_dict()["backbone"],
+            size,
+            DECODER,
+            [recipe.augment, recipe.version],
+            recipe.precision,
+        ]
         digest = hashlib.blake2b(json.dumps(decides, sort_keys=True).encode(), digest_size=8)
         for key, weight in sorted(self.model.backbone.state_dict().items()):
             digest.update(key.encode())
