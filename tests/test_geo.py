@@ -23,6 +23,7 @@ from salad.geo import (
     shifted,
     spread,
     to_utm,
+    zone_number,
 )
 
 points = st.builds(GeoPoint, st.floats(-90, 90), st.floats(-180, 180))
@@ -214,3 +215,8 @@ def test_a_centre_that_there_is_not(where: list[GeoPoint], weights: list[float] 
     for of in (centre, spread):
         with pytest.raises(PositionError, match=says):
             of(where, weights)
+
+
+@pytest.mark.parametrize(("text", "zone"), [("17T", 17), ("54s", 54), ("54K", -54), ("61T", 0), ("17O", 0), ("", 0)])
+def test_zones_by_number(text: str, zone: int) -> None:
+    assert zone_number(text) == zone

@@ -9,6 +9,7 @@ numpy is brought in by what needs it, not before: it is half of what a process t
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -49,6 +50,14 @@ class Utm:
     northing: float
     zone: int
     letter: str
+
+
+def zone_number(text: str) -> int:
+    """A UTM zone such as `17T` as a number: negative south of the equator, 0 where the text names no zone."""
+    named = re.fullmatch(r"([0-9]{1,2})([C-HJ-NP-Xc-hj-np-x])", text)
+    if named is None or not 1 <= int(named[1]) <= 60:
+        return 0
+    return int(named[1]) if named[2].upper() >= "N" else -int(named[1])
 
 
 def null_island(where: GeoPoint | None) -> bool:

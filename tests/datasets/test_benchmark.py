@@ -12,6 +12,7 @@ from PIL import Image
 
 from salad.datasets import benchmark as benchmarks
 from salad.datasets.benchmark import Benchmark, from_frames, from_radius, from_truth
+from salad.datasets.protocols import read
 from salad.errors import BenchmarkError, PhotoError
 from salad.geo import GeoPoint, metres_between, shifted
 from salad.images.at_names import at_name
@@ -198,6 +199,74 @@ class TestRadius:
         for radius in (0, -1, float("nan"), float("inf")):
             with pytest.raises(BenchmarkError, match="radius"):
                 from_radius(placed, placed, radius)
+
+    @pytest.mark.parametrize("zone", ["", "@@@@@p1@@270@@@@", "@32@"])
+    def test_names_without_zone_or_letter_are_judged_on_the_map(self, tmp_path: Path, zone: str) -> None:
+        for side, off in (("r", 0.0), ("q", 3.0)):
+            touch(tmp_path / side, *(f"@{478000 + 20 * n + off:.2f}@{5262000 + off:.2f}{zone}@.jpg" for n in range(5)))
+        made = from_radius(tmp_path / "r", tmp_path / "q", 20.0)
+        assert made.protocol == "radius 20 m (UTM)"
+        assert "without a UTM zone" in made.notes[0]
+        assert [rows.tolist() for rows in made.positives] == [[0, 1], [1, 2], [2, 3], [3, 4], [4]]
+        if "270" in zone:
+            alike = from_radius(tmp_path / "r", tmp_path / "q", 20.0, heading=10)
+            assert [rows.tolist() for rows in alike.positives] == [rows.tolist() for rows in made.positives]
+
+    @pytest.mark.parametrize(
+        ("reference", "query", "says"),
+        [
+            (
+                "@478000.00@5262000.00@32@T@.jpg",
+                "@478001.00@5262000.00@.jpg",
+                r"@\.jpg \(its name gives metres, but no",
+            ),
+            (
+                "@478000.00@5262000.00@32@@.jpg",
+                "@478001.00@5262000.00@33@@.jpg",
+                r"@\.jpg \(its name gives metres, but no",
+            ),
+            (
+                "@8.700000@47.500001@.jpg",
+                "@8.7012@47.5@.jpg",
+                "where metres east and north belong, .* these are degrees",
+            ),
+        ],
+    )
+    def test_what_cannot_be_compared_on_one_map_is_said(
+        self, tmp_path: Path, reference: str, query: str, says: str
+    ) -> None:
+        with pytest.raises(BenchmarkError, match=says):
+            from_radius(touch(tmp_path / "r", reference), touch(tmp_path / "q", query), 25)
+
+    @pytest.mark.parametrize(
+        "kind",
+        [
+            "full",
+            "comma",
+            "exponent",
+            "hemisphere_S",
+            "zone_and_letter_together",
+            "utm_no_zone",
+            "utm_no_zone_tail",
+            "pseudo",
+        ],
+    )
+    def test_sets_of_people(self, cases: Path, kind: str) -> None:
+        folder = cases / "12-own-at-names" / kind / "images/test"
+        made = from_radius(folder / "database", folder / "queries", 25)
+        near = {query.path.name: len(rows) for query, rows in zip(made.queries, made.positives, strict=True)}
+        assert len(near) == 6
+        assert set(near.values()) == {1}
+
+    def test_degrees_in_place_of_metres(self, cases: Path) -> None:
+        folder = cases / "12-own-at-names/lonlat"
+        inside = folder / "images/test"
+        for judge in (
+            lambda: from_radius(inside / "database", inside / "queries", 25),
+            lambda: read("st-lucia", folder, any_size=True),
+        ):
+            with pytest.raises(BenchmarkError, match=r"say 8\.7.* and 47\.5 where metres east and north belong"):
+                judge()
 
     def test_protocol_and_positions(self, tmp_path: Path) -> None:
         refs, asked = at_photos(tmp_path / "r", [HERE]), at_photos(tmp_path / "q", [shifted(HERE, 3, 4)])

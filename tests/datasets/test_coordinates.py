@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from salad.datasets.coordinates import Coordinates, lat_lon_of, zone_number
-from salad.geo import GeoPoint, from_utm, metres_between, to_utm
-
-
-@pytest.mark.parametrize(("text", "zone"), [("17T", 17), ("54s", 54), ("54K", -54), ("61T", 0), ("17O", 0)])
-def test_zones(text: str, zone: int) -> None:
-    assert zone_number(text) == zone
+from salad.datasets.coordinates import Coordinates, lat_lon_of
+from salad.geo import GeoPoint, from_utm, metres_between, to_utm, zone_number
 
 
 @given(st.lists(st.tuples(st.floats(-79.9, 83.9), st.floats(-179.9, 179.9)), min_size=1, max_size=8))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salad.errors import PositionError
-from salad.geo import GeoPoint, Utm, from_utm, metres_between, shifted
+from salad.geo import GeoPoint, Utm, from_utm, metres_between, shifted, to_utm
 from salad.images.at_names import at_name, parse_at_name
 from salad.images.metadata import Position
 
@@ -94,6 +94,10 @@ def test_other_names_say_nothing(name: str) -> None:
         ("@0545350.23@4174054.95@@@037.5@-122.5@.jpg", GeoPoint(37.5, -122.5)),
         ("@0545350.23@4174054.95@99@S@037.5@-122.5@.jpg", GeoPoint(37.5, -122.5)),
         ("@0545350.23@4174054.95@10@S@37.5@-122.5@.jpg", HERE),  # both: the grid counts
+        ("@545350,23@4174054,95@10@S@37,5@-122,5@.jpg", HERE),  # with the comma of some countries
+        ("@5.4535023e+05@4.17405495E+06@10@S@.jpg", HERE),
+        ("@0545350.23@4174054.95@10S@@37.5@-122.5@.jpg", HERE),  # zone and letter in one field
+        ("@0545350.23@4174054.95@10@@37.5@-122.5@.jpg", HERE),  # no letter, but on which side of the equator
         ("@0545350.23@4174054.95@.jpg", None),
         ("@0545350.23@4174054.95@99@S@137.5@-122.5@.jpg", None),
         ("@0545350.23@4174054.95@10@@x@-122.5@.jpg", None),
@@ -103,6 +107,59 @@ def test_where_an_at_name_points(name: str, where: GeoPoint | None) -> None:
     told = parse_at_name(name)
     assert told is not None
     assert told.where == where
+
+
+@given(st.builds(GeoPoint, st.floats(-79.9, -0.1), st.floats(-180, 180)), st.sampled_from("sS"), st.booleans())
+def test_s_may_stand_for_the_south(where: GeoPoint, letter: str, with_degrees: bool) -> None:
+    grid = to_utm(where)
+    degrees = f"{where.lat:.6f}@{where.lon:.6f}" if with_degrees else "@"
+    told = parse_at_name(f"@{grid.easting:.2f}@{grid.northing:.2f}@{grid.zone}@{letter}@{degrees}@@@@@@@@@.jpg")
+    assert told is not None
+    assert told.where is not None
+    if with_degrees or not -59 < where.lat < -49:  # where Patagonia has the metres of Kentucky, only degrees can tell
+        assert metres_between(told.where, where) < 0.1
+
+
+@given(st.builds(GeoPoint, st.floats(32, 39.999), st.floats(-180, 180)))
+def test_s_is_a_band_of_the_north_too(where: GeoPoint) -> None:
+    grid = to_utm(where)
+    told = parse_at_name(f"@{grid.easting:.2f}@{grid.northing:.2f}@{grid.zone}@S@.jpg")
+    assert grid.letter == "S"
+    assert told is not None
+    assert told.where is not None
+    assert metres_between(told.where, where) < 0.1
+
+
+def test_a_name_that_points_nowhere_says_why() -> None:
+    for name, why in (
+        ("@478000.00@5262000.00@.jpg", "its name gives metres, but no UTM zone"),
+        ("@478000.00@5262000.00@32@@.jpg", "its name gives metres, but no UTM zone"),
+        ("@8.7@47.5@32@T@.jpg", "its name gives metres that are off the UTM grid"),
+        ("@478000.00@5262000.00@32@T@.jpg", ""),
+    ):
+        told = parse_at_name(name)
+        assert told is not None
+        assert told.remark == why
+
+
+@pytest.mark.parametrize(
+    ("kind", "where"),
+    [
+        *((kind, GeoPoint(47.511, 8.708)) for kind in ("full", "comma", "exponent", "zone_and_letter_together")),
+        ("hemisphere_S", GeoPoint(-33.877, 151.205)),
+        *((kind, None) for kind in ("utm_no_zone", "utm_no_zone_tail", "pseudo", "lonlat")),
+    ],
+)
+def test_names_of_people(cases: Path, kind: str, where: GeoPoint | None) -> None:
+    for path in (cases / "12-own-at-names" / kind).rglob("@*.jpg"):
+        told = parse_at_name(path.name)
+        assert told is not None
+        if where is None:
+            assert told.where is None
+            assert told.remark == "its name gives metres, but no UTM zone"
+        else:
+            assert told.where is not None
+            assert metres_between(told.where, where) < 1000  # as far apart as they are
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,6 @@ from salad.images.metadata import Position
 from salad.images.photo import Photo, placed
 from salad.images.photo_table import PhotoTable
 
-CASES = Path(__file__).parents[3] / "shared/cases/07-tables"
-
 
 def table(folder: Path, text: str | bytes, name: str = "places.csv") -> PhotoTable:
     path = folder / name
@@ -406,14 +404,12 @@ REFUSED = {
     "times_epoch.csv": "its time '1689329430' counts days or seconds",
     "times_excel.csv": "its time '45121.43090277778' counts days or seconds",
 }
-needs_cases = pytest.mark.skipif(not CASES.is_dir(), reason="the tables that people brought are not here")
 
 
-@needs_cases
 @pytest.mark.parametrize("name", READ)
-def test_tables_of_people_are_read(name: str) -> None:
-    photos = sorted((CASES / "photos/day1").iterdir())
-    places, told = PhotoTable.read(CASES / "tables" / f"{name}.csv").fitted(photos)
+def test_tables_of_people_are_read(cases: Path, name: str) -> None:
+    photos = sorted((cases / "07-tables/photos/day1").iterdir())
+    places, told = PhotoTable.read(cases / "07-tables/tables" / f"{name}.csv").fitted(photos)
     known = {photo.name: placed(Photo(photo), places).where for photo in photos}
     assert {name: (where.lat, where.lon) for name, where in known.items() if where} == READ[name]
     assert [TOLD[name] in sentence for sentence in told] == [True] * (name in TOLD)
@@ -423,16 +419,14 @@ def test_tables_of_people_are_read(name: str) -> None:
         }
 
 
-@needs_cases
 @pytest.mark.parametrize("name", REFUSED)
-def test_tables_of_people_are_refused_by_name(name: str) -> None:
+def test_tables_of_people_are_refused_by_name(cases: Path, name: str) -> None:
     with pytest.raises(PositionError, match=REFUSED[name]):
-        PhotoTable.read(CASES / "tables" / name)
+        PhotoTable.read(cases / "07-tables/tables" / name)
 
 
-@needs_cases
-def test_no_table_of_people_is_left_out() -> None:
-    assert {path.name for path in (CASES / "tables").iterdir()} == {
+def test_no_table_of_people_is_left_out(cases: Path) -> None:
+    assert {path.name for path in (cases / "07-tables/tables").iterdir()} == {
         *(f"{name}.csv" for name in READ),
         *REFUSED,
         "ok.parquet",

@@ -18,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salad.datasets.compact_lists import Ragged, positions
+from salad.datasets.coordinates import Coordinates
 from salad.datasets.folders import frame, two_folders
 from salad.datasets.ground_truth import PhotoNames, looking_alike, read_truth
-from salad.datasets.neighbours import near_on_earth
+from salad.datasets.neighbours import near_on_earth, near_on_map
 from salad.errors import BenchmarkError
-from salad.images.at_names import parse_at_name
+from salad.images.at_names import parse_at_name, split_at_name, zone_of
+from salad.images.metadata import Position, settled
 from salad.images.photo import Photo, placed, read_photo
 from salad.images.photo_table import PhotoTable
 
@@ -184,12 +186,13 @@ def from_radius(
 ) -> Benchmark:
     """Take photos that know where they were taken: right is a reference at most `metres` away.
 
-    A photo is only opened for its EXIF where neither the table nor its `@` name says where it was taken.
+    A photo is only opened for its EXIF where neither the table nor its `@` name says where it was taken. Where there
+    is no table, and all names give metres and none a UTM zone or degrees, these metres are measured on the map.
 
     Args:
         references: Folder of reference photos.
         queries: Folder of query photos.
-        metres: The radius, along the great circle.
+        metres: The radius, along the great circle; or on the map.
         table: Positions of photos that do not carry their own (EXIF or `@` name).
         heading: Where given, right is only what also looks the same way, within so many degrees.
         name: What to call the set; by default the folder that holds both.
@@ -202,28 +205,58 @@ def from_radius(
     if not (metres > 0 and math.isfinite(metres)):
         raise BenchmarkError(f"a radius of {metres} m makes no sense: give a positive number of metres")
     reference_paths, query_paths = two_folders(references, queries)
-    if table is not None:
-        table, _ = table.fitted([*reference_paths, *query_paths])
-    # With a tolerance of headings, a photo that says only where it stands is opened for the rest.
-    reference_photos = tuple(_known(path, table, heading is not None) for path in reference_paths)
-    query_photos = tuple(_known(path, table, heading is not None) for path in query_paths)
-    ours, theirs = _positions(query_photos, "query"), _positions(reference_photos, "reference")
-    positives = near_on_earth(ours, theirs, metres)
+    notes: tuple[str, ...] = ()
+    on_a_plane = _on_a_plane(query_paths, reference_paths) if table is None else None
+    if on_a_plane is not None:
+        query_photos, reference_photos = (
+            tuple(Photo.of(path, parse_at_name(path.name) or Position()) for path in paths)
+            for paths in (query_paths, reference_paths)
+        )
+        positives = near_on_map(*on_a_plane, metres)
+        notes = (
+            "names give metres without a UTM zone and letter, so they are measured on the map, as if all of one zone",
+        )
+    else:
+        if table is not None:
+            table, _ = table.fitted([*reference_paths, *query_paths])
+        # With a tolerance of headings, a photo that says only where it stands is opened for the rest.
+        reference_photos = tuple(_known(path, table, heading is not None) for path in reference_paths)
+        query_photos = tuple(_known(path, table, heading is not None) for path in query_paths)
+        ours, theirs = _positions(query_photos, "query"), _positions(reference_photos, "reference")
+        positives = near_on_earth(ours, theirs, metres)
     if heading is not None:
         positives = looking_alike(query_photos, reference_photos, positives, heading)
     return Benchmark(
         name=name or _common_name(references, queries),
-        protocol=f"radius {metres:.10g} m" + (f", heading ±{heading:.10g}°" if heading is not None else ""),
+        protocol=f"radius {metres:.10g} m"
+        + (" (UTM)" if on_a_plane is not None else "")
+        + (f", heading ±{heading:.10g}°" if heading is not None else ""),
         references=reference_photos,
         queries=query_photos,
         positives=positives,
+        notes=notes,
     )
+
+
+def _on_a_plane(queries: Sequence[Path], references: Sequence[Path]) -> tuple[Coordinates, Coordinates] | None:
+    """Where photos stand on one map, if their `@` names give metres and say no more; None where any says otherwise."""
+    sides, zones = list[Coordinates](), set[str]()
+    for paths in (queries, references):
+        numbers = np.empty((len(paths), 2))
+        for row, path in enumerate(paths):
+            fields = split_at_name(path.name)
+            # A zone without a letter does not say where on earth, and two of them are no one map.
+            if fields is None or zone_of(fields) or not math.isnan(fields.lat) or len(zones | {fields.zone}) > 1:
+                return None
+            zones.add(fields.zone)
+            numbers[row] = fields.easting, fields.northing
+        sides.append(Coordinates.on_a_plane(numbers))
+    return sides[0], sides[1]
 
 
 def _known(path: Path, table: PhotoTable | None, with_heading: bool) -> Photo:
     """A photo with what its name and the table say, and its EXIF only where they do not say enough."""
-    name = parse_at_name(path.name)
-    photo = placed(Photo(path, name.where, name.heading, name.time) if name else Photo(path), table)
+    photo = placed(Photo.of(path, settled([parse_at_name(path.name) or Position()])), table)
     # To open each of many photos for its EXIF takes minutes, where names and a table take seconds.
     enough = photo.where is not None and (photo.heading is not None or not with_heading)
     return photo if enough else read_photo(path, table)
@@ -248,9 +281,10 @@ def _positions(photos: Sequence[Photo], role: str) -> NDArray[np.float64]:
     where = positions(photos)
     nowhere = np.flatnonzero(np.isnan(where[:, 0]))
     if nowhere.size:
+        first = photos[int(nowhere[0])]
+        why = f" ({first.remark})" if first.remark else ""
         raise BenchmarkError(
-            f"{nowhere.size} of {len(photos)} {role} photos have no position, the first "
-            f"{photos[int(nowhere[0])].path}: give photos with GPS in their EXIF data or with `@` names, "
-            "or leave these out"
+            f"{nowhere.size} of {len(photos)} {role} photos have no position, the first {first.path}{why}: give photos "
+            "with GPS in their EXIF data or with `@` names, or leave these out"
         )
     return where

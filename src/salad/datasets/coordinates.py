@@ -6,12 +6,13 @@ maps, and for photos of different zones.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
 import utm  # type: ignore[import-untyped]  # it ships no types
 from jaxtyping import Float64, Int64
+
+from salad.geo import zone_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +35,10 @@ class Coordinates:
         zones = np.full(len(metres), zone_number(zone), dtype=np.int64)
         return cls(metres, zones, lat_lon_of(metres, zones))
 
-
-def zone_number(text: str) -> int:
-    """A zone such as `17T` as a number: negative south of the equator, 0 where the text names no zone."""
-    named = re.fullmatch(r"([0-9]{1,2})([C-HJ-NP-Xc-hj-np-x])", text)
-    if named is None or not 1 <= int(named[1]) <= 60:
-        return 0
-    return int(named[1]) if named[2].upper() >= "N" else -int(named[1])
+    @classmethod
+    def on_a_plane(cls, metres: Float64[np.ndarray, "n 2"]) -> Coordinates:
+        """Photos of which nobody says in which zone they are counted, if in any."""
+        return cls(metres, np.zeros(len(metres), dtype=np.int64), np.full((len(metres), 2), np.nan))
 
 
 def lat_lon_of(metres: Float64[np.ndarray, "n 2"], zone: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:

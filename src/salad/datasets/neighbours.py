@@ -48,7 +48,8 @@ def near_on_map(queries: Coordinates, references: Coordinates, radius: float) ->
     """For each query the rows of the references at most `radius` metres away on the map, ascending.
 
     Raises:
-        BenchmarkError: If photos are of different zones, or some of none, and one has no latitude and longitude.
+        BenchmarkError: If photos are of different zones, or some of none, and one has no latitude and longitude; or if
+            degrees stand where metres belong.
     """
 
     def on_map(query: NDArray[np.int64], reference: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -62,6 +63,8 @@ def near_on_map(queries: Coordinates, references: Coordinates, radius: float) ->
     zones = np.unique(np.concatenate([queries.zone, references.zone]))
     if len(zones) == 1:
         ours, theirs = (np.clip(side.utm, -_FAR, _FAR) for side in (queries, references))
+        if zones[0] == 0:
+            _check_metres(np.concatenate([ours, theirs]), radius)
         return _within(ours, theirs, radius, on_map)
     unknown = sum(int(np.isnan(side.lat_lon[:, 0]).sum()) for side in (queries, references))
     if unknown:
@@ -71,6 +74,22 @@ def near_on_map(queries: Coordinates, references: Coordinates, radius: float) ->
         )
     places = _in_space(queries.lat_lon), _in_space(references.lat_lon)
     return _within(*places, radius, distance, reach=radius * _STRETCH)
+
+
+def _check_metres(numbers: Float64[np.ndarray, "n 2"], radius: float) -> None:
+    """Refuse degrees in place of metres: everything would count as right for everything.
+
+    Raises:
+        BenchmarkError: If they could be longitudes and latitudes, have more digits than centimetres, and all of them
+            lie within the radius.
+    """
+    could_be = (np.abs(numbers) <= (180, 90)).all() and (np.abs(numbers * 100 - np.rint(numbers * 100)) > 1e-6).any()
+    if could_be and np.hypot(*np.ptp(numbers, axis=0)) <= radius:
+        east, north = numbers[0].tolist()
+        raise BenchmarkError(
+            f"the names say {east:g} and {north:g} where metres east and north belong, and no two of them are over "
+            f"{radius:g} apart: if these are degrees, say where the photos are by a table or by EXIF"
+        )
 
 
 def _within(

@@ -10,10 +10,12 @@ from datetime import datetime
 from typing import NamedTuple
 
 from salad.errors import PositionError
-from salad.geo import GeoPoint, Utm, from_utm, to_utm
+from salad.geo import GeoPoint, Utm, from_utm, to_utm, zone_number
 from salad.images.metadata import Position
 
-_NUMBER = re.compile(r"[+-]?[0-9]{1,12}(?:\.[0-9]{0,15})?")
+# With the comma of some countries' programs, and the exponent that programs write for large numbers.
+_NUMBER = re.compile(r"[+-]?[0-9]{1,12}(?:[.,][0-9]{0,15}(?:[eE][+-]?[0-9]{1,2})?)?")
+_BAND_S = (3_500_000, 4_470_000)  # metres north from 32 to 40 degrees, with room for the edges of zones
 _SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
 _STAMP = "YYYYMMDD_hhmmss"
 _BLANK = [""] * 14  # fields that a short `@` name leaves away
@@ -72,6 +74,23 @@ def split_at_name(name: str) -> AtName | None:
     return None if math.isnan(fields.easting) or math.isnan(fields.northing) else fields
 
 
+def zone_of(fields: AtName) -> int:
+    """The UTM zone that an `@` name counts in: 1 to 60, negative south of the equator, 0 where it does not say.
+
+    `S` is a band of the north, from 32 to 40 degrees, to those who made the grid, and the southern hemisphere to many
+    who write names. A latitude decides where the name has one; else the northing: what has 3.5 to 4.5 million metres
+    is taken for the band (it could be Patagonia as well), all else is south. Zone and letter may stand in one field.
+    """
+    named, lat = fields.zone + fields.letter, fields.lat
+    known = 0 < abs(lat) <= 90
+    if named[-1:] in ("s", "S"):
+        north = lat > 0 if known else _BAND_S[0] <= fields.northing <= _BAND_S[1]
+        return zone_number(named) if north else -zone_number(named)
+    if known and named.isdecimal():
+        named += "N" if lat > 0 else "M"
+    return zone_number(named)
+
+
 def parse_at_name(name: str) -> Position | None:
     """What an `@` name says, or None for any other name.
 
@@ -85,15 +104,17 @@ def parse_at_name(name: str) -> Position | None:
     fields = split_at_name(name)
     if fields is None:
         return None
-    where = None
-    if re.fullmatch(r"[0-9]{1,2}", fields.zone) and re.fullmatch(r"[A-Za-z]", fields.letter):
-        with suppress(PositionError):
-            where = from_utm(Utm(fields.easting, fields.northing, int(fields.zone), fields.letter.upper()))
+    where, zone = None, zone_of(fields)
+    with suppress(PositionError):
+        where = from_utm(Utm(fields.easting, fields.northing, abs(zone), "N" if zone > 0 else "M"))
     if where is None:
         with suppress(PositionError):
             where = GeoPoint(fields.lat, fields.lon)
+    remark = ""
+    if where is None:
+        remark = "its name gives metres that are off the UTM grid" if zone else "its name gives metres, but no UTM zone"
     heading = None if math.isnan(fields.heading) else fields.heading % 360
-    return Position(where, heading, _parse_stamp(fields.timestamp), "name")
+    return Position(where, heading, _parse_stamp(fields.timestamp), "name", remark)
 
 
 def at_name(
@@ -122,7 +143,7 @@ def at_name(
 
 
 def _number(text: str) -> float:
-    return float(text) if _NUMBER.fullmatch(text) else math.nan
+    return float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else math.nan
 
 
 def _parse_stamp(text: str) -> datetime | None:

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from salad.datasets.compact_lists import PhotoList
-from salad.datasets.coordinates import Coordinates, lat_lon_of, zone_number
+from salad.datasets.coordinates import Coordinates, lat_lon_of
 from salad.datasets.folders import names_below, sides_in
 from salad.datasets.readers.base import Layout, Protocol, Sides
 from salad.errors import BenchmarkError
-from salad.images.at_names import split_at_name
+from salad.images.at_names import split_at_name, zone_of
 
 
 def find(root: Path, protocol: Protocol) -> Path | None:
@@ -58,7 +58,7 @@ def read_side(folder: Path) -> tuple[PhotoList, Coordinates, tuple[str, ...]]:
         if fields is None:
             continue  # without a position, which is told of below
         numbers[row] = fields.easting, fields.northing, fields.lat, fields.lon, fields.heading
-        zones[row] = zone_number(fields.zone + fields.letter)
+        zones[row] = zone_of(fields)
         panoramas.append(fields.panoid)
     # Copied, so that the table of five columns can be let go: of 2.8 million photos it takes 112 MB.
     metres, degrees = numbers[:, :2].copy(), numbers[:, 2:4]
