@@ -81,7 +81,7 @@ def test_a_row_at_null_island_knows_no_position(folder: Path, form: int) -> None
         zero, equator, greenwich = index.photos()
         assert (zero.where, zero.remark, zero.heading) == (None, AT_NULL_ISLAND, 10.0)
         assert (equator.where, greenwich.where) == (GeoPoint(0, 32.5), GeoPoint(51.48, 0))
-        assert index.info().with_position == 2
+        assert (index.info().with_position, index.at_null_island()) == (2, 1)
         assert index.info().box == (0.0, 0.0, 51.48, 32.5)
         assert index.search(np.eye(1, 4), k=1)[0][0].photo.where is None
         for where in (Filter(near=GeoPoint(0, 0), within_m=1e5), Filter(box=(-1.0, -1.0, 1.0, 1.0))):
@@ -92,7 +92,7 @@ def test_a_row_at_null_island_knows_no_position(folder: Path, form: int) -> None
 def test_a_row_at_null_island_is_mended_by_the_next_change(folder: Path) -> None:
     with Index.open(folder) as index:
         index.update([Photo(Path("/p/0.jpg"))], ["a"])
-        assert index.find(["a"])["a"].remark == ""
+        assert (index.find(["a"])["a"].remark, index.at_null_island()) == ("", 0)
     with closing(sqlite3.connect(folder / "photos.sqlite")) as db:
         assert db.execute("SELECT lat, lon, source FROM photos WHERE row = 0").fetchall() == [(None, None, None)]
 

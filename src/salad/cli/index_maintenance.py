@@ -1,16 +1,16 @@
-"""The commands of an index that is there: `salad info`, `verify`, `remove`, `compact`, `export` and `merge`."""
+"""The commands of an index that is there: `salad verify`, `remove`, `compact`, `export` and `merge`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from salad.cli import terminal
-from salad.cli.arguments import Format, IndexFolder, Photos
+from salad.cli.arguments import IndexFolder, Photos
 from salad.cli.compress_command import keep_compressed
 from salad.errors import PhotoError, StoreError
 
@@ -20,26 +20,6 @@ Others = Annotated[
 ]
 
 _MEGA = 1e6  # bytes in a megabyte, as disks count them
-
-
-@dataclass(frozen=True)
-class InfoCommand:
-    """Say what an index holds."""
-
-    index: IndexFolder
-    format: Format = "table"
-
-    def run(self) -> int:
-        """Tell."""
-        from salad.index.index import Index
-
-        with Index.open(self.index) as index:
-            known = index.info().as_dict()
-        if self.format == "json":
-            terminal.write_json(known)
-        else:
-            terminal.write_fields(dict(_with_units(name, value) for name, value in known.items()))
-        return terminal.FOUND
 
 
 @dataclass(frozen=True)
@@ -172,18 +152,3 @@ class MergeCommand:
 def _say_damaged(paths: Sequence[Path]) -> None:
     for path in paths:
         terminal.say(f"{path} was left out, since its descriptor is damaged: index it again")
-
-
-def _with_units(name: str, value: Any) -> tuple[str, Any]:
-    """A fact for people: JSON keys are short and their units are in the docs, here they stand in the name."""
-    names = {
-        "box": "south, west, north, east",
-        "span_km": "km from south to north, west to east",
-        "bytes": "MB",
-        "bytes_of_descriptors": "MB of descriptors",
-        "bytes_of_codes": "MB of codes",
-        "code_bytes": "bytes of codes a photo",
-        "coded": "photos with codes",
-        "codes_fitted_on": "photos when codes were fitted",
-    }
-    return names.get(name, name), round(value / _MEGA, 3) if name.startswith("bytes") else value

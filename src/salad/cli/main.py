@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 COMMANDS = {  # in the order of `salad --help`: the file in `salad.cli` and the dataclass in it
     "index": "index_command:IndexCommand",
     "locate": "locate_command:LocateCommand",
-    "info": "index_maintenance:InfoCommand",
+    "info": "info_command:InfoCommand",
     "verify": "index_maintenance:VerifyCommand",
     "remove": "index_maintenance:RemoveCommand",
     "compact": "index_maintenance:CompactCommand",

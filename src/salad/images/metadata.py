@@ -56,7 +56,7 @@ def settled(said: Iterable[Position]) -> Position:
     """
     where = heading = time = source = None
     remarks: list[str] = []
-    for one in sorted(said, key=_rank):
+    for one in sorted(said, key=lambda one: rank(one.source)):
         if where is None:
             remarks.append(one.remark)
             if null_island(one.where):
@@ -69,5 +69,6 @@ def settled(said: Iterable[Position]) -> Position:
     return Position(where, heading, time, source, "; ".join(told))
 
 
-def _rank(said: Position) -> int:
-    return len(SOURCES) if said.source is None else SOURCES.index(said.source)
+def rank(source: str | None) -> int:
+    """The place of a source in the order in which they win, from 0; one that is none of `SOURCES` comes last."""
+    return SOURCES.index(source) if source in SOURCES else len(SOURCES)

@@ -23,9 +23,10 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 from PIL import Image
 
 from salad.errors import PhotoError, SaladError
-from salad.images.decode import as_pixels, in_memory, naming, on_disk, open_rgb, small
+from salad.images.decode import as_pixels, existing, in_memory, naming, on_disk, open_rgb, small
+from salad.images.metadata import Position, rank
 from salad.images.named import NamedPhoto
-from salad.images.photo import Photo, content_hash, read_photo
+from salad.images.photo import Photo, content_hash, read_photo, sayings
 
 if TYPE_CHECKING:
     from salad.images.decode import Pixels
@@ -126,6 +127,18 @@ def look(path: Path) -> Photo:
     return read_photo(path)
 
 
+def said(path: Path) -> list[Position]:
+    """All that a photo's name, its file and the files beside it say of it, each on its own, who wins first.
+
+    Raises:
+        PhotoError: If there is no such file.
+    """
+    with on_disk(existing(path)) as file:
+        file.peek(1)  # as above
+        LIMITS.grant(0.0)
+        return sorted(sayings(path, file=file), key=lambda one: rank(one.source))
+
+
 def _path(photo: Source) -> Path:
     return photo if isinstance(photo, Path) else photo.path
 
@@ -136,7 +149,7 @@ def _taken(photo: Source) -> io.BytesIO:
     return file
 
 
-TASKS: dict[str, Callable[..., Any]] = {"read": read, "decode": decode, "show": show, "look": look}
+TASKS: dict[str, Callable[..., Any]] = {"read": read, "decode": decode, "show": show, "look": look, "said": said}
 """What a worker can be asked for by name; the first argument is the photo's path."""
 
 

@@ -30,6 +30,7 @@ from typing import Any, Self, TypeVar
 
 from salad.errors import PhotoError, SaladError
 from salad.images.decode import Pixels, as_pixels
+from salad.images.metadata import Position
 from salad.images.photo import Photo
 from salad.images.worker_process import READY, PhotoRead, Size, Source, answer, send
 from salad.processors import processors
@@ -117,6 +118,15 @@ class Workers:
         """
         photo: Photo = self.ask("look", path)
         return photo
+
+    def said(self, path: Path) -> list[Position]:
+        """All that a photo's name, its file and the files beside it say of it, each on its own, who wins first.
+
+        Raises:
+            PhotoError: If there is no such file, or it crashed two processes or took too long.
+        """
+        found: list[Position] = self.ask("said", path)
+        return found
 
     def ask(self, task: str, photo: Source, *rest: Any) -> Any:
         """What a task of `worker_process.TASKS` gives for a photo; where no process is free, it waits for one.

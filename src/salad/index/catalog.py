@@ -229,6 +229,11 @@ class Catalog(Database):
         pairs = np.fromiter(found, dtype=[("lat", np.float64), ("lon", np.float64)])
         return pairs.view(np.float64).reshape(-1, 2)
 
+    def at_null_island(self) -> int:
+        """How many live photos an earlier version wrote down at 0,0, which counts as no position."""
+        found = self._run("SELECT COUNT(*) FROM photos WHERE removed = 0 AND lat = 0 AND lon = 0")
+        return int(found.fetchone()[0])
+
     def find(self, identities: Iterable[str]) -> dict[str, Photo]:
         """The live photos with these contents, by content."""
         return {known.identity: known.photo for known in self._found(identities)}

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from salad.errors import PositionError
 from salad.geo import GeoPoint, null_island
-from salad.images.metadata import SOURCES
+from salad.images.metadata import SOURCES, rank
 from salad.images.photo import Photo
 from salad.images.photo_table import LONGEST_PATH
 from salad.index.database import shortened
@@ -118,7 +118,8 @@ def with_news(held: Photo, news: Photo) -> Photo:
         held: What the index says.
         news: What was found now, with the path where it was.
     """
-    first, second = (held, news) if _is_given(held) and _rank(news) > _rank(held) else (news, held)
+    stays = held.source in ("correction", "table") and rank(news.source) > rank(held.source)
+    first, second = (held, news) if stays else (news, held)
     placed = first if first.where is not None else second
     return replace(
         news,
@@ -128,14 +129,6 @@ def with_news(held: Photo, news: Photo) -> Photo:
         source=placed.source if placed.where is not None else None,
         remark="" if placed is held and held.where is not None else news.remark,
     )
-
-
-def _is_given(photo: Photo) -> bool:
-    return photo.source in ("correction", "table")
-
-
-def _rank(photo: Photo) -> int:
-    return SOURCES.index(photo.source) if photo.source in SOURCES else len(SOURCES)
 
 
 def _expected(row: Sequence[Any]) -> int | None:

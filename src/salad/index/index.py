@@ -424,6 +424,11 @@ class Index:
         with self._catalog.reading():
             return self._catalog.count_below(home)
 
+    def at_null_island(self) -> int:
+        """How many photos the index holds at 0,0, which counts as no position."""
+        with self._catalog.reading():
+            return self._catalog.at_null_island()
+
     def info(self) -> IndexInfo:
         """What the index holds, in numbers."""
         return verify.survey(self.folder, self.header, self._catalog)
