@@ -2,11 +2,13 @@
 
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +29,7 @@ from salad.images.photo_table import PhotoTable
 from salad.images.worker_process import PhotoRead
 from salad.images.workers import Pool, Workers
 from salad.index import build
-from salad.index.build import Outcome, index_photos
+from salad.index.build import OUTDATED, Outcome, index_photos
 from salad.index.changes import Changes
 from salad.index.index import Index
 from salad.models.fake import FakeDescriber
@@ -209,6 +211,25 @@ def test_photos_at_null_island_lose_that_and_are_counted(index: Index, tmp_path:
     done = index_photos([path], index, FakeDescriber())
     assert str(done.changes) == "1 position changed; the first: zero.jpg, 0,0 -> none"
     assert not str(index_photos([path], index, FakeDescriber()).changes)  # told once
+
+
+def test_deep_grey_that_an_earlier_salad_described_is_named(index: Index, photos: list[Path]) -> None:
+    """Of these photos alone today's decoder makes another picture; once they are described anew nothing is said."""
+    deep = [path.with_name(f"deep-{number}.tif") for number, path in enumerate(photos[:3])]
+    for number, path in enumerate(deep):
+        Image.fromarray(np.arange(number, number + 4800, 100, np.uint16).reshape(6, 8)).save(path)
+    told: list[Outcome] = []
+    for _ in range(2):
+        assert index_photos([*photos, *deep], index, FakeDescriber(), batch_size=2).decoded_earlier == []
+    with closing(sqlite3.connect(index.folder / "photos.sqlite")) as db, db:
+        db.execute("DROP TABLE decoders")  # an earlier salad wrote none
+    done = index_photos([*photos, *deep], index, FakeDescriber(), on_photo=told.append)
+    assert done.decoded_earlier == deep
+    assert [each.photo.path for each in told if OUTDATED in each.why] == deep
+    index.remove(deep[:2])
+    assert index_photos([*photos, *deep], index, FakeDescriber()).decoded_earlier == [deep[2]]
+    index.compact()
+    assert index_photos([*photos, *deep], index, FakeDescriber()).decoded_earlier == [deep[2]]
 
 
 def test_many_stale_photos_are_brought_up_to_date_in_parts(

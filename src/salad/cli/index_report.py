@@ -77,6 +77,12 @@ def sentences(found: Found, done: Indexed) -> Iterator[str]:
         yield f"passed over: {counted}"
     if changed := str(done.changes):
         yield changed
+    if done.decoded_earlier:
+        count, name = len(done.decoded_earlier), done.decoded_earlier[0].name
+        yield (
+            f"{count:,} of deep grey (more than eight bits) were described by an earlier salad, which may have seen "
+            f"less in them, the first {name}: take them out with 'salad remove', and index them again"
+        )
     if done.unplaced:
         first = ", ".join(done.first_unplaced)
         others = done.unplaced - len(done.first_unplaced)

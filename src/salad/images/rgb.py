@@ -33,7 +33,7 @@ def to_rgb(image: Image.Image) -> Image.Image:
     """RGB of eight bits: what is transparent over white, deep grey by its range; RGB is handed back as it is."""
     if image.mode == "RGB" and not image.has_transparency_data:
         return image
-    deep = image.mode == "F" or image.mode.startswith("I")  # grey of 16 or 32 bits or of real numbers
+    deep = is_deep_grey(image)
     if deep:
         nothing = _no_data(image)
         black, white = _range(image, nothing)
@@ -42,6 +42,11 @@ def to_rgb(image: Image.Image) -> Image.Image:
         part = image.crop(band)
         rgb.paste(_eight_bits(part, black, white, nothing) if deep else _over_white(part), band)
     return rgb
+
+
+def is_deep_grey(image: Image.Image) -> bool:
+    """Whether a pixel is a grey of 16 or 32 bits, or a real number."""
+    return image.mode == "F" or image.mode.startswith("I")
 
 
 def _bands(size: tuple[int, int]) -> Iterator[tuple[int, int, int, int]]:

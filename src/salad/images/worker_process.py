@@ -23,10 +23,11 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 from PIL import Image
 
 from salad.errors import PhotoError, SaladError
-from salad.images.decode import as_pixels, existing, in_memory, naming, on_disk, open_rgb, small
+from salad.images.decode import as_pixels, existing, in_memory, naming, on_disk, open_image, open_rgb, small
 from salad.images.metadata import Position, rank
 from salad.images.named import NamedPhoto
 from salad.images.photo import Photo, content_hash, read_photo, sayings
+from salad.images.rgb import is_deep_grey
 
 if TYPE_CHECKING:
     from salad.images.decode import Pixels
@@ -59,12 +60,14 @@ class PhotoRead(NamedTuple):
         content_hash: Which photo it is.
         image: RGB of the size that was asked for; None where none was, and where it cannot be decoded.
         trouble: Why it cannot be decoded: a sentence, empty where it can.
+        deep_grey: Whether it is grey of more than eight bits, which earlier decoders made another picture of.
     """
 
     photo: Photo
     content_hash: str
     image: Image.Image | None = None
     trouble: str = ""
+    deep_grey: bool = False
 
     @property
     def pixels(self) -> Pixels | None:
@@ -83,13 +86,19 @@ def read(path: Path, size: Size | None = None) -> PhotoRead:
         PhotoError: If the file cannot be read.
     """
     file = _taken(path)
-    known = PhotoRead(read_photo(path, file=file), content_hash(path, file=file))
+    known = PhotoRead(read_photo(path, file=file), content_hash(path, file=file), deep_grey=_is_deep_grey(path, file))
     if size is None:
         return known
     try:
         return known._replace(image=small(path, *size, file=file, grant=LIMITS.grant))
     except PhotoError as error:  # an index may hold it all the same, described where it could be decoded
         return known._replace(trouble=str(error))
+
+
+def _is_deep_grey(path: Path, file: IO[bytes]) -> bool:
+    with suppress(Exception):  # whatever is wrong with it, `small` says
+        return is_deep_grey(open_image(path, file))
+    return False
 
 
 def decode(photo: Source, height: int, width: int, resample: str) -> Image.Image:

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 COMMIT_BATCHES = 8  # batches between commits: what a loss of power can cost
 _STALE = 1000  # photos to bring up to date in one commit
 _PAGE = 1000  # paths the index is asked about at once
+OUTDATED = "an earlier salad described it, and may have seen less in it: remove it and index it again"
 _FEW = 3  # photos named that know no position
 
 
@@ -59,6 +60,7 @@ class Indexed:
         unplaced: Photos given that are in the index now, and of which it knows no position.
         first_unplaced: The first of them with the reason: `a.jpg (its EXIF says 0,0, which counts as no position)`.
         changes: What the index says otherwise of the skipped.
+        decoded_earlier: Those of the skipped whose descriptor is of another picture than is made of them today.
     """
 
     added: int = 0
@@ -69,6 +71,7 @@ class Indexed:
     unplaced: int = 0
     first_unplaced: list[str] = field(default_factory=list)
     changes: Changes = field(default_factory=Changes)
+    decoded_earlier: list[Path] = field(default_factory=list)
 
 
 State = Literal["added", "held", "copy", "unreadable"]
@@ -99,6 +102,7 @@ class _Item:
         content_hash: Which photo it is; empty where its file cannot be read.
         pixels: `[height, width, 3]`, where they were decoded.
         trouble: Why it cannot be read, if so: a sentence.
+        deep_grey: Whether it is grey of more than eight bits.
     """
 
     path: Path
@@ -106,6 +110,7 @@ class _Item:
     content_hash: str = ""
     pixels: Pixels | None = None
     trouble: str = ""
+    deep_grey: bool = False
 
 
 def index_photos(
@@ -165,7 +170,7 @@ def _read(workers: Workers, table: PhotoTable | None, size: Size, source: tuple[
         found = workers.read(path, None if guessed_known else size)
     except SaladError as error:
         return _Item(path, Photo(path), trouble=str(error))
-    return _Item(path, placed(found.photo, table), found.content_hash, found.pixels, found.trouble)
+    return _Item(path, placed(found.photo, table), found.content_hash, found.pixels, found.trouble, found.deep_grey)
 
 
 class _Run:
@@ -240,6 +245,8 @@ class _Run:
         items = [item for item, _ in self._described]
         hashes = [item.content_hash for item in items]
         rows = np.stack([row for _, row in self._described])
+        if deep := [item.content_hash for item in items if item.deep_grey]:
+            self._index.note_decoder(deep)  # before they are held: a kill in between costs a word, not a photo
         added = self._index.add([item.photo for item in items], rows, identities=hashes, update_known=False)
         self._described = []
         self.result.added += added
@@ -275,16 +282,19 @@ class _Run:
             self._stale.append(item)
             if len(self._stale) >= _STALE:
                 self._bring_up_to_date()
-        self._keep(known, at_its_place if path == held.path else "held")
+        outdated = item.deep_grey and bool(self._index.decoded_earlier([item.content_hash]))
+        if outdated:
+            self.result.decoded_earlier.append(item.path)
+        self._keep(known, at_its_place if path == held.path else "held", outdated=outdated)
 
-    def _keep(self, photo: Photo, state: State) -> None:
+    def _keep(self, photo: Photo, state: State, *, outdated: bool = False) -> None:
         """A photo is in the index: say so, and count it where nobody knows its position."""
         why = photo.remark or (NOTHING_SAID if photo.where is None else "")
         if photo.where is None:
             self.result.unplaced += 1
             if len(self.result.first_unplaced) < _FEW:
                 self.result.first_unplaced.append(f"{photo.path.name} ({why})")
-        self._tell(Outcome(photo, state, why))
+        self._tell(Outcome(photo, state, "; ".join(filter(None, [why, OUTDATED if outdated else ""]))))
 
     def _tell(self, outcome: Outcome) -> None:
         if self._on_photo is not None:

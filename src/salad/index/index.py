@@ -29,6 +29,7 @@ from salad.index.codes import CodeFile, extend, newest
 from salad.index.compact import Compacted, Dropping, compact
 from salad.index.compress import Compressed, Progress, compress, is_due, take_away
 from salad.index.contents import Page, listed, pages
+from salad.index.decoders import decoded_earlier, note_decoder
 from salad.index.filter_sql import allowed, compared_by_the_clock
 from salad.index.header import Header
 from salad.index.vectors import FileRows, Snapshot, append, storable, sums
@@ -291,6 +292,16 @@ class Index:
     def noticed(self) -> list[str]:
         """What was wrong with the codes and is searched exactly instead, a sentence each."""
         return [*self._unusable, *(self._codes.noticed if self._codes else [])]
+
+    def note_decoder(self, identities: Sequence[str]) -> None:
+        """Remember that these contents are described from what today's decoder makes of them."""
+        with self._catalog.writing():
+            note_decoder(self._catalog, identities)
+
+    def decoded_earlier(self, identities: Sequence[str]) -> set[str]:
+        """Which of these contents, of those of which it matters, an earlier decoder showed to the model."""
+        with self._catalog.reading():
+            return decoded_earlier(self._catalog, identities)
 
     def known(self, identities: Sequence[str]) -> set[str]:
         """Which of these contents the index holds."""
