@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from salad.images.metadata import Position
     from salad.images.photo import Photo
 
-IndexOrPhoto = Annotated[Positional[Path], arg(metavar="INDEX|PHOTO", help="An index, which is a folder, or a photo.")]
+IndexOrPhoto = Annotated[Positional[Path], arg(metavar="INDEX", help="An index, which is a folder, or a photo.")]
 
 _MEGA = 1e6  # bytes in a megabyte, as disks count them
 
