@@ -80,8 +80,8 @@ def sentences(found: Found, done: Indexed) -> Iterator[str]:
     if done.decoded_earlier:
         count, name = len(done.decoded_earlier), done.decoded_earlier[0].name
         yield (
-            f"{count:,} of deep grey (more than eight bits) were described by an earlier salad, which may have seen "
-            f"less in them, the first {name}: take them out with 'salad remove', and index them again"
+            f"photos of deep grey (more than eight bits) that an earlier salad described, which may have seen less in "
+            f"them: {count:,}, the first {name}; take them out with 'salad remove', and index them again"
         )
     if done.unplaced:
         first = ", ".join(done.first_unplaced)
