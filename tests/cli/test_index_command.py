@@ -227,6 +227,27 @@ def test_the_report_says_which_photos_have_no_position(cli: Any, asked: Any, hom
     assert "4 photos have no position" in ran.err
 
 
+def test_what_is_written_beside_a_photo_later_is_seen(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
+    """Its content is known already, and yet it is looked beside it again."""
+    drawn(home / "a.jpg", 1, where=GeoPoint(1, 2))
+    cli("index", home, "--to", tmp_path / "city")
+    (home / "a.jpg.xmp").write_text(
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        '<rdf:Description xmlns:exif="http://ns.adobe.com/exif/1.0/" exif:GPSLatitude="36,48.0S" '
+        'exif:GPSLongitude="174,45.0E"/></rdf:RDF></x:xmpmeta>',
+        encoding="utf-8",
+    )
+    assert (
+        "1 position changed; the first: a.jpg, 1,2 -> -36.8,174.75" in cli("index", home, "--to", tmp_path / "city").err
+    )
+    with Index.open(tmp_path / "city") as index:
+        assert [photo.source for photo in index.photos() if photo.path.name == "a.jpg"] == ["sidecar"]
+    (home / "a.jpg.xmp").unlink()
+    assert (
+        "1 position changed; the first: a.jpg, -36.8,174.75 -> 1,2" in cli("index", home, "--to", tmp_path / "city").err
+    )
+
+
 def test_a_list_names_every_photo_and_what_else_was_met(cli: Any, asked: Any, home: Path, tmp_path: Path) -> None:
     drawn(home / "=cmd().jpg", 1)
     shutil.copy(home / "=cmd().jpg", home / "copy.jpg")
