@@ -134,6 +134,16 @@ def test_copies_know_their_place_and_originals_stay(cli: Any, city: Path, photos
     assert nothing.code == 1
 
 
+def test_copies_keep_their_folders(cli: Any, city: Path, photos: Any, tmp_path: Path) -> None:
+    for number, inner in enumerate(("drive/a.jpg", "drive/in/a.jpg", "drive/in/on/a.jpg", "b.jpg")):
+        (tmp_path / inner).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(photos.query[number], tmp_path / inner)
+    ran = cli("locate", tmp_path / "drive", tmp_path / "b.jpg", "--index", city, "--write-exif", tmp_path / "to")
+    assert "4 copies written" in ran.err
+    copies = sorted(path.relative_to(tmp_path / "to").as_posix() for path in (tmp_path / "to").rglob("*.jpg"))
+    assert copies == ["a.jpg", "b.jpg", "in/a.jpg", "in/on/a.jpg"]
+
+
 def test_copies_are_never_written_among_originals(cli: Any, city: Path, photos: Any, tmp_path: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(photos.queries, target_is_directory=True)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import json
+import shutil
 import string
 import struct
+import subprocess
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from salad.geo import GeoPoint, Utm, from_utm, metres_between
 from salad.images.exif import save_jpeg
 from salad.images.exif_copy import copy_with_position, with_position
 from salad.images.photo import read_photo
+from salad.images.xmp import without_place
 
 points = st.builds(GeoPoint, st.floats(-79.9, 83.9), st.floats(-180, 180))
 zones = st.integers(-14 * 4, 14 * 4).map(lambda quarters: timezone(timedelta(minutes=15 * quarters)))
@@ -188,3 +192,111 @@ def test_damage_makes_a_sentence_or_a_copy_never_anything_else(junk: bytes, at: 
         except PhotoError:
             continue
         assert copied.startswith(b"\xff\xd8")
+
+
+# --- what else says where a photo was taken --------------------------------------------------
+
+XMP = b"http://ns.adobe.com/xap/1.0/\0"
+NAMES = (
+    'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:exif="http://ns.adobe.com/exif/1.0/" '
+    'xmlns:drone="http://www.dji.com/drone-dji/1.0/" xmlns:ext="http://iptc.org/std/Iptc4xmpExt/2008-02-29/"'
+)
+
+
+def with_xmp(inside: str, attributes: str = "", *, gps: dict[int, object] | None = None) -> bytes:
+    """A JPEG with a packet of XMP, and GPS tags in its EXIF."""
+    packet = (
+        f'<?xpacket begin="" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF {NAMES}>'
+        f'<rdf:Description rdf:about="" {attributes}>{inside}</rdf:Description></rdf:RDF></x:xmpmeta>'
+        f"{' ' * 2000}<?xpacket end='w'?>"
+    )
+    exif = Image.Exif()
+    exif[IFD.GPSInfo] = gps or {GPS.GPSAltitude: 90.0}
+    plain = jpeg(exif.tobytes())
+    content = XMP + packet.encode()
+    return plain[:2] + b"\xff\xe1" + struct.pack(">H", len(content) + 2) + content + plain[2:]
+
+
+def xmp_of(data: bytes) -> bytes:
+    at = data.index(XMP) - 4
+    return data[at : at + 2 + struct.unpack(">H", data[at + 2 : at + 4])[0]]
+
+
+@pytest.mark.parametrize(
+    ("inside", "attributes", "kept"),
+    [
+        (
+            "",
+            'exif:GPSLatitude="10,0N" exif:GPSLongitude = \'20,0E\' exif:GPSAltitude="5/1"',
+            b'exif:GPSAltitude="5/1"',
+        ),
+        (
+            "<exif:GPSLatitude>10,0N</exif:GPSLatitude><exif:GPSLongitude>20,0E</exif:GPSLongitude><exif:A/>",
+            "",
+            b"<exif:A/>",
+        ),
+        ("<exif:GPSLatitude xml:lang='a>b'>10,0N</exif:GPSLatitude><exif:GPSLongitude/>", "", b"</rdf:Description>"),
+        (
+            "",
+            'drone:GpsLatitude="+10" drone:GpsLongtitude="+20" drone:GimbalYawDegree="7"',
+            b'drone:GimbalYawDegree="7"',
+        ),
+        ("", 'exif:GPSMapDatum="TOKYO" exif:GPSStatus="V" exif:GPSDestLatitude="1,0N"', b'exif:GPSDestLatitude="1,0N"'),
+    ],
+)
+def test_a_position_in_xmp_gives_way(tmp_path: Path, inside: str, attributes: str, kept: bytes) -> None:
+    before = with_xmp(inside, attributes)
+    after = with_position(before, SYDNEY)
+    assert len(xmp_of(after)) == len(xmp_of(before))
+    assert xmp_of(after)[:33] == xmp_of(before)[:33]
+    assert kept in xmp_of(after)
+    for gone in (b"10,0N", b"20,0E", b"+10", b"+20", b"TOKYO", b'"V"', b"GPSLatitude", b"GPSLongitude", b"GpsL"):
+        assert gone not in xmp_of(after)
+    assert scan(after) == scan(before)
+    (tmp_path / "a.jpg").write_bytes(after)
+    where = read_photo(tmp_path / "a.jpg").where
+    assert where is not None
+    assert metres_between(where, SYDNEY) < 0.01
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "<ext:LocationShown><rdf:Bag><rdf:li exif:GPSLatitude='1,0N'/></rdf:Bag></ext:LocationShown>",
+        "<exif:GPSDestLatitude>1,0N</exif:GPSDestLatitude>",
+        "<exif:GPSLatitude>1,0N",  # broken: nobody reads it
+        "<!-- exif:GPSLatitude='1,0N' -->",
+    ],
+)
+def test_what_xmp_says_of_other_places_stays(inside: str) -> None:
+    before = with_xmp(inside)
+    assert xmp_of(with_position(before, SYDNEY)) == xmp_of(before)
+
+
+@given(st.binary(max_size=200) | st.text("<>/'\" =:exifGPSLatude\0", max_size=200).map(str.encode))
+def test_no_packet_crashes_and_none_changes_its_length(packet: bytes) -> None:
+    assert len(without_place(packet)) == len(packet)
+
+
+def test_what_made_a_position_void_does_not_stay() -> None:
+    before = with_xmp("", gps={GPS.GPSStatus: "V", GPS.GPSMapDatum: "TOKYO", GPS.GPSDateStamp: "2020:01:01"})
+    gps = Image.open(io.BytesIO(with_position(before, SYDNEY))).getexif().get_ifd(IFD.GPSInfo)
+    assert {GPS.GPSStatus, GPS.GPSMapDatum}.isdisjoint(gps)
+    assert gps[GPS.GPSDateStamp] == "2020:01:01"
+
+
+@pytest.mark.skipif(shutil.which("exiftool") is None, reason="exiftool is not installed")
+def test_copies_of_peoples_photos_hold_one_position_to_exiftool(cases: Path, tmp_path: Path) -> None:
+    photos = sorted((cases / "18-write-exif/q").rglob("*.jpg"))
+    for number, photo in enumerate(photos):
+        copy_with_position(photo, tmp_path / f"{number}.jpg", SYDNEY, within_m=12)
+    command = ["exiftool", "-n", "-j", "-a", "-G1", "-gps:all", "-xmp:all", "-validate", "-warning", str(tmp_path)]
+    told = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    assert len(told) == len(photos) == 7
+    for of in told:
+        places = {name: value for name, value in of.items() if name.endswith(("GPSLatitude", "GPSLongitude"))}
+        assert places == {"GPS:GPSLatitude": pytest.approx(33.857), "GPS:GPSLongitude": pytest.approx(151.215)}
+        assert of["GPS:GPSLatitudeRef"] == "S"
+        assert of.get("GPS:GPSStatus", "A") == "A"
+        assert "GPS:GPSMapDatum" not in of
+        assert of["ExifTool:Validate"].startswith("0 ")  # no error

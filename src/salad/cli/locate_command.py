@@ -26,7 +26,7 @@ from salad.cli.arguments import (
     model_name_for,
     positive,
 )
-from salad.errors import PhotoError, SaladError
+from salad.errors import PhotoError, SaladError, reason
 from salad.files import json_text
 
 if TYPE_CHECKING:
@@ -155,7 +155,8 @@ class LocateCommand:
             raise SaladError(f"--min-confidence {self.min_confidence} is not between 0 and 1")
         if not 0 < self.radius <= 1e6:
             raise SaladError(f"--radius {self.radius} makes no place: give metres, above 0")
-        paths = find_photos(self.photos, on_unreadable=terminal.say)
+        sources = list(terminal.expand_stdin(self.photos))  # kept: stdin can be read but once
+        paths = find_photos(sources, on_unreadable=terminal.say)
         prepare()  # what reads the photos starts while the model loads
         if self.write_exif:
             check_folder(self.write_exif, paths)
@@ -169,7 +170,7 @@ class LocateCommand:
             terminal.write_table(as_table(answers))
         else:
             terminal.write(as_text(answers, self.format))
-        copied = write_copies(self.write_exif, answers) if self.write_exif else None
+        copied = write_copies(self.write_exif, answers, sources) if self.write_exif else None
         if self.gpx:
             write_track(self.gpx, answers)
         if any(answer.place for answer in answers):
@@ -314,8 +315,10 @@ def check_track(track: Path) -> None:
         raise SaladError(f"--gpx {track} cannot be written: name a file in a folder that is there")
 
 
-def write_copies(folder: Path, answers: Sequence[Answer]) -> int:
+def write_copies(folder: Path, answers: Sequence[Answer], sources: Sequence[str]) -> int:
     """Copy each photo that was located into `folder` with its position; say what could not be, and how many were.
+
+    Photos of a folder among the `sources` keep their folders below it, so that those of one name do not meet.
 
     Returns:
         How many copies were written.
@@ -323,16 +326,21 @@ def write_copies(folder: Path, answers: Sequence[Answer]) -> int:
     from salad.images.exif_copy import copy_with_position
 
     folder.mkdir(parents=True, exist_ok=True)
+    homes = [Path(source) for source in sources if os.path.isdir(source)]  # noqa: PTH112  # fails over no long name
     written = 0
     for answer in answers:
         if answer.place is None:
             continue
-        place, copy = answer.place, folder / answer.query.name
+        home = next((home for home in homes if answer.query.is_relative_to(home)), answer.query.parent)
+        place, copy = answer.place, folder / answer.query.relative_to(home)
         try:
+            copy.parent.mkdir(parents=True, exist_ok=True)
             copy_with_position(answer.query, copy, place.where, within_m=place.radius_m)
             written += 1
         except PhotoError as error:  # one that is no JPEG, say: the others are copied all the same
             terminal.say(str(error))
+        except OSError as error:
+            terminal.say(f"{copy.parent} cannot be made ({reason(error)}): check what stands there and the disk")
     terminal.say(f"{folder}: {written} copies written, with their position")
     return written
 

@@ -2,7 +2,7 @@
 
 Pixels are copied byte by byte, never decoded. What the EXIF held stays where it stood, so that thumbnails and
 makers' notes, which name their own whereabouts, stay right: the new tables of tags are added at its end, and
-only the pointer to the first table is changed.
+only the pointer to the first table is changed. A position that XMP says is blanked there, so that nobody reads two.
 """
 
 from __future__ import annotations
@@ -20,13 +20,19 @@ from salad.files import write_whole
 from salad.geo import GeoPoint
 from salad.images.decode import in_memory
 from salad.images.exif import degrees_minutes_seconds
+from salad.images.xmp import without_place
 
 _EXIF = b"Exif\0\0"
 _EMPTY = b"II*\0\x08\0\0\0" + bytes(6)  # a TIFF of one table without a tag
 _LONGEST = 0xFFFF - 2 - len(_EXIF)  # bytes of EXIF that a JPEG's segment can hold
 _BYTE, _ASCII, _LONG, _RATIONAL = 1, 2, 4, 5
+_XMP = b"http://ns.adobe.com/xap/1.0/\0"
 _SUPERSEDED = frozenset(
-    {GPS.GPSLatitudeRef, GPS.GPSLatitude, GPS.GPSLongitudeRef, GPS.GPSLongitude, GPS.GPSHPositioningError}
+    {
+        *(GPS.GPSLatitudeRef, GPS.GPSLatitude, GPS.GPSLongitudeRef, GPS.GPSLongitude, GPS.GPSHPositioningError),
+        GPS.GPSStatus,  # `V` says that the receiver had no fix
+        GPS.GPSMapDatum,  # metres away from the WGS84 that is written, which goes without saying
+    }
 )
 
 
@@ -65,18 +71,20 @@ def with_position(jpeg: bytes, where: GeoPoint, *, within_m: float | None = None
     if not jpeg.startswith(b"\xff\xd8\xff"):
         raise PhotoError("it is no JPEG, and only a JPEG can take one without a change of its pixels")
     start = end = 2
-    tiff = _EMPTY
+    tiff = None
+    rest = bytearray(jpeg)
     for kind, low, high in _segments(jpeg):
-        if kind == 0xE1 and jpeg[low + 4 :].startswith(_EXIF):
+        if kind == 0xE1 and jpeg.startswith(_EXIF, low + 4) and tiff is None:
             start, end, tiff = low, high, jpeg[low + 4 + len(_EXIF) : high]
-            break
-        if kind == 0xE0 and low == 2:  # JFIF wants to come first
+        if kind == 0xE1 and jpeg.startswith(_XMP, low + 4):
+            rest[low + 4 + len(_XMP) : high] = without_place(jpeg[low + 4 + len(_XMP) : high])
+        if kind == 0xE0 and low == 2 and tiff is None:  # JFIF wants to come first
             start = end = high
-    placed = _placed(tiff, where, within_m)
+    placed = _placed(_EMPTY if tiff is None else tiff, where, within_m)
     if len(placed) > _LONGEST:
         raise PhotoError("its EXIF is so long already that no position can be added")
     head = b"\xff\xe1" + struct.pack(">H", 2 + len(_EXIF) + len(placed)) + _EXIF
-    return jpeg[:start] + head + placed + jpeg[end:]
+    return bytes(rest[:start]) + head + placed + rest[end:]
 
 
 def _segments(jpeg: bytes) -> Iterator[tuple[int, int, int]]:

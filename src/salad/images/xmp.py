@@ -52,6 +52,14 @@ _TIMES = (
     f"{_EXIF} GPSTimeStamp",
 )
 _WANTED = frozenset({*(name for pair in _PLACES for name in pair), *_HEADINGS, *_TIMES})
+_PLACED = frozenset(
+    {
+        *(name for pair in _PLACES for name in pair),
+        *(f"{_EXIF} {name}" for name in ("GPSStatus", "GPSMapDatum", "GPSHPositioningError")),
+    }
+)
+"""What says where the photo was taken, and how well that is known."""
+_TAG = re.compile(rb"<(?:[^<>\"']|\"[^\"]*\"|'[^']*')*>")
 _LONGEST_VALUE = 100  # letters of a value that means something here
 _NUMBER = r"\d{1,12}(?:\.\d{0,20})?"
 _ANGLE = re.compile(
@@ -166,3 +174,54 @@ def _real(text: str) -> float:
         return math.nan
     below = float(found[2] or 1)
     return float(found[1]) / below if below else math.nan
+
+
+def without_place(packet: bytes) -> bytes:
+    """The same packet, as long as before, with spaces where the photo's position stood; of the rest nothing moves.
+
+    What is not read as XMP here stays as it is. So do positions of what else the packet tells, such as the destination.
+
+    Args:
+        packet: Its bytes, in UTF-8, as a JPEG holds them.
+    """
+    kept = bytearray(packet)
+    open_elements: list[str] = []
+    begun = 0  # where the last element of a position began
+
+    def refuse(*_: object) -> NoReturn:
+        raise _NoXmpError
+
+    def blank(low: int, high: int) -> None:
+        kept[low:high] = b" " * (high - low)
+
+    def begin(name: str, attributes: dict[str, str]) -> None:
+        nonlocal begun
+        start = begun = parser.CurrentByteIndex
+        if name == _DESCRIPTION and open_elements[-1:] == [_ROOT]:
+            tag = _TAG.match(packet, start)
+            for key in _PLACED.intersection(attributes) if tag else ():
+                local = re.escape(key.rpartition(" ")[2].encode())
+                written = re.compile(rb"\s[^\s=\"'<>]*:" + local + rb"\s*=\s*(?:\"[^\"]*\"|'[^']*')")
+                for found in written.finditer(packet, start, tag.end() if tag else start):
+                    blank(*found.span())
+        if len(open_elements) == _DEEPEST:
+            raise _NoXmpError
+        open_elements.append(name)
+
+    def end(name: str) -> None:
+        open_elements.pop()
+        if name in _PLACED and open_elements[-2:] == [_ROOT, _DESCRIPTION]:
+            whole = _TAG.match(packet, begun)
+            empty = whole is not None and whole[0].endswith(b"/>")  # then its end is told behind it
+            blank(begun, whole.end() if whole and empty else packet.index(b">", parser.CurrentByteIndex) + 1)
+
+    parser = expat.ParserCreate("utf-8", " ")
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    if len(packet) > LONGEST_XMP or _LONG_NAMESPACE.search(packet):
+        return packet
+    try:
+        parser.Parse(packet.rstrip(b"\0"), True)
+    except (expat.ExpatError, _NoXmpError, ValueError):
+        return packet
+    return bytes(kept)
