@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 _CONTROLS = re.compile(r"[\x7f-\x9f\u2028\u2029]")
+_WEB_PAGE = re.compile(rb"(?:\xef\xbb\xbf)?\s{0,999}<(?:!doctype html|html|head|body)", re.IGNORECASE)
 _NO_FILE = "it is no regular file"
 _MEMORY = 1 << 31  # bytes that what JSON says may take as Python holds it: up to 25 times the text
 _TEXT_MOST = 1 << 30  # bytes of JSON that are read: a GeoJSON of a million photos has 300 MB
@@ -140,6 +141,11 @@ def json_text(value: Any, *, indent: int | None = 2) -> str:
     """
     # Python escapes what JSON's grammar forbids, which the later half of the control characters is not.
     return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", json.dumps(value, ensure_ascii=False, indent=indent))
+
+
+def is_web_page(head: bytes) -> bool:
+    """Whether a file that begins so is what a server says to people, in place of what it was asked for."""
+    return _WEB_PAGE.match(head) is not None
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -24,9 +24,9 @@ from salad.models.describer import Describer
 from salad.models.model_folder import CONFIG, WEIGHTS, load, read_folder, write_calibration, write_folder
 from salad.network.aggregator_config import SaladConfig
 from salad.network.baseline_config import SceneConfig
-from salad.network.checkpoints import read_tensors
 from salad.network.config import Calibration, LiteConfig, ModelConfig, Preprocessing, ViTConfig
 from salad.network.network import build
+from salad.network.weight_files import read_tensors
 
 LITE = ModelConfig(
     "tiny",

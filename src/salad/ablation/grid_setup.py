@@ -13,9 +13,10 @@ from salad.ablation.grids import ALL_BLOCKS, GridRow
 from salad.errors import ModelError, WeightsError
 from salad.network.aggregator_config import compared_aggregators
 from salad.network.backbones.base import build_backbone
-from salad.network.checkpoints import read_tensors, recognise
+from salad.network.checkpoints import recognise
 from salad.network.config import LiteConfig, ModelConfig, Preprocessing, ViTConfig
 from salad.network.network import build
+from salad.network.weight_files import read_tensors
 from salad.training.recipe import LITE_PHOTO, PRESETS, Preset, Recipe
 from salad.training.start import imagenet
 from salad.training.vocabulary import needs_fitting

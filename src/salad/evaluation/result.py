@@ -279,7 +279,7 @@ def read_result(path: Path) -> Result:
     try:
         return Result.from_dict(read)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BenchmarkError(f"{path} is damaged ({error!r}): write it anew") from error
+        raise BenchmarkError(f"{path} is damaged ({error}): write it anew") from error
 
 
 def as_csv(result: Result) -> str:

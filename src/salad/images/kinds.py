@@ -5,8 +5,7 @@ Only asked once a decoder has given up, so that no photo is refused for what it 
 
 from __future__ import annotations
 
-import re
-
+from salad.files import is_web_page
 from salad.images import jpeg, tiff
 
 _PACKED = "packed in a way not read here"
@@ -20,9 +19,6 @@ _BEGINNINGS = {  # what a file begins with: what it is, and what to do about it
     b"8BPS": ("a Photoshop document", _CONVERT),
     b"PK\x03\x04": ("a ZIP archive", "unpack it, or leave it out"),
 }
-_WEB_PAGE = re.compile(
-    rb"(?:\xef\xbb\xbf)?\s*<(?:!doctype html|html|head|body|\?xml[^>]*>\s*<!doctype html)", re.IGNORECASE
-)
 _FILMS = (b"isom", b"iso2", b"mp41", b"mp42", b"avc1", b"qt  ", b"M4V ", b"3gp4", b"3gp5")
 _ZEROS = 1 << 16  # bytes at a file's beginning that are looked at for anything but zeros
 
@@ -39,7 +35,7 @@ def not_read_here(data: bytes) -> str:
     for beginning, (what, advice) in _BEGINNINGS.items():
         if data.startswith(beginning):
             return f"is {what}: {advice}"
-    if _WEB_PAGE.match(data):
+    if is_web_page(data):
         return f"is a web page, not a photo: {_FETCH}"
     if data[4:8] == b"ftyp" and data[8:12] in _FILMS:
         return "is a film, not a photo: save a picture of it as JPEG, or leave it out"

@@ -27,7 +27,7 @@ from typing import Any, Literal
 
 import platformdirs
 
-from salad.errors import FetchError, WeightsError
+from salad.errors import FetchError, WeightsError, reason
 from salad.files import sha256_of, write_whole
 
 Progress = Callable[[int, int | None], None]
@@ -77,9 +77,10 @@ def download(
         error.close()
         raise DownloadFailedError(f"the server answered {error.code} {error.reason}") from error
     except urllib.error.URLError as error:
-        raise DownloadFailedError(f"no connection: {error.reason}") from error
+        why = reason(error.reason) if isinstance(error.reason, OSError) else error.reason
+        raise DownloadFailedError(f"no connection: {why}") from error
     except (OSError, http.client.HTTPException) as error:
-        raise DownloadFailedError(str(error) or type(error).__name__) from error
+        raise DownloadFailedError(reason(error) or "the server broke off") from error
 
 
 def check(path: Path, *, sha256: str | None = None) -> None:

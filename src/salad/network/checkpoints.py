@@ -9,25 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 import re
-import warnings
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
-from salad.errors import ModelError, WeightsError, reason
-from salad.files import open_file
+from salad.errors import ModelError, WeightsError
 from salad.network.aggregator_config import AggregatorConfig, SaladConfig
 from salad.network.baseline_config import SceneConfig
-from salad.network.config import MOST_OF_WEIGHTS, ModelConfig, ViTConfig
+from salad.network.config import ModelConfig, ViTConfig
 from salad.network.network import Network, build, load_weights
+from salad.network.weight_files import read_tensors
 
 HEAD_WIDTH = 64  # numbers a head has in every published DINOv2
 UNUSED = "backbone.mask_token"  # DINOv2's pretraining alone needs it
@@ -75,61 +70,6 @@ def read_published(path: Path, *, heads: int | None = None, name: str | None = N
         provenance=f"{path.name}, layout {found.layout}",
     )
     return load_weights(config, found.weights, source=path)
-
-
-def read_tensors(path: Path) -> Mapping[str, Tensor]:
-    """The named tensors of a foreign file; whatever it holds, no code of it runs.
-
-    Raises:
-        WeightsError: If it cannot be read safely, or holds something else than tensors.
-    """
-    length = _checked_file(path)
-    # A safetensors file holds numbers and names; everything else is a pickle, of which torch's reader runs no code.
-    if path.suffix == ".safetensors":
-        try:
-            return load_file(path)
-        except (SafetensorError, OSError) as error:
-            raise WeightsError(f"{path} is no safetensors file that can be read: {reason(error)}") from error
-    try:
-        raw = load_pickle(path)
-    except Exception as error:  # a foreign pickle may fail in any way; none may run code
-        raise WeightsError(f"{path} is no file of weights that can be read safely ({type(error).__name__})") from error
-    # Lightning wraps the weights, beside optimizers and settings that are of no use here.
-    raw = raw.get("state_dict", raw) if isinstance(raw, Mapping) else raw
-    if not isinstance(raw, Mapping) or not all(isinstance(value, Tensor) for value in raw.values()):
-        raise WeightsError(f"{path} holds something else than named tensors")
-    # A tensor may be one number seen a trillion times, or a view of another's numbers.
-    if sum(value.numel() * value.element_size() for value in raw.values()) > 4 * length:
-        raise WeightsError(f"{path} says it holds more numbers than fit into its {length:,} bytes: fetch it again")
-    return {str(key): value for key, value in raw.items()}
-
-
-def load_pickle(path: Path) -> Any:
-    """What torch saved, on the processor; nothing in it is run, and torch is quiet about what others wrote.
-
-    Raises:
-        Exception: Anything at all for a damaged or foreign file.
-    """
-    with warnings.catch_warnings():  # of pickles that torch would not have written
-        warnings.simplefilter("ignore")
-        return torch.load(path, map_location="cpu", weights_only=True)
-
-
-def _checked_file(path: Path) -> int:
-    """How many bytes a file of weights has; nothing in it is packed, as torch packs nothing.
-
-    Raises:
-        WeightsError: If it is no regular file, longer than any model's, or would unpack to more than it is long.
-    """
-    try:
-        with open_file(path) as file:
-            length = os.fstat(file.fileno()).st_size
-            packed = zipfile.is_zipfile(file) and any(info.compress_type for info in zipfile.ZipFile(file).infolist())
-    except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-        raise WeightsError(f"{path} is no file of weights that can be read safely ({reason(error)})") from error
-    if packed or length > MOST_OF_WEIGHTS:
-        raise WeightsError(f"{path} is no file of weights that can be read safely (packed, or too long for a model)")
-    return length
 
 
 def recognise(raw: Mapping[str, Tensor], *, heads: int | None = None) -> Published:

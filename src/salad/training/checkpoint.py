@@ -23,9 +23,9 @@ from torch import Tensor
 from salad.datasets.training_place import TrainingPlace
 from salad.errors import ModelError, TrainingError, reason
 from salad.files import parse_json, read_json, write_whole
-from salad.network.checkpoints import load_pickle
 from salad.network.config import ModelConfig
 from salad.network.network import Network
+from salad.network.weight_files import load_pickle
 from salad.training.devices import versions
 from salad.training.recipe import Preset, Recipe, with_defaults
 
@@ -180,7 +180,7 @@ def load_checkpoint(folder: Path, identity: Mapping[str, Any]) -> dict[str, Any]
     try:
         saved = load_pickle(path)
     except Exception as error:  # a damaged file fails in any way
-        raise TrainingError(f"{path} is damaged ({type(error).__name__}): {_ADVICE}") from error
+        raise TrainingError(f"{path} is damaged: {_ADVICE}") from error
     if not isinstance(saved, dict) or not isinstance(saved.get("step"), int):
         raise TrainingError(f"{path} is no checkpoint of a run: {_ADVICE}")
     differing = _other_run(saved, identity)

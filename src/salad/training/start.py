@@ -15,9 +15,9 @@ from salad.models.model_folder import read_folder
 from salad.network.aggregator_config import RouteConfig, SaladConfig
 from salad.network.aggregators.salad_layout import Route
 from salad.network.backbones.resnet_convnext import own_names
-from salad.network.checkpoints import read_tensors
 from salad.network.config import LiteConfig, LiteKind
 from salad.network.network import Network
+from salad.network.weight_files import read_tensors
 
 OF_THE_LAST_NORM = {"norm.weight", "norm.bias"}  # a transformer cut short has none of its own and learns one
 

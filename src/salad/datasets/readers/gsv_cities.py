@@ -60,7 +60,7 @@ def _rows(root: Path, table: Path) -> Iterator[PlaceRow]:
     except OSError as error:
         raise BenchmarkError(f"{table} cannot be read ({error.strerror}): fetch it again") from error
     except (KeyError, AttributeError, ValueError, CsvError, PositionError) as error:
-        raise BenchmarkError(f"{table}, line {line}: cannot be read ({error!r})") from error
+        raise BenchmarkError(f"{table}, line {line}: cannot be read ({error}): correct it") from error
 
 
 def read(root: Path, _found: Path, _: Protocol) -> Sides:
