@@ -365,7 +365,7 @@ def test_hostile_pickles_are_refused_and_not_run(tmp_path: Path, where: str) -> 
 @pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04broken"])
 def test_a_file_of_no_weights_is_a_sentence(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.pth").write_bytes(content)
-    with pytest.raises(WeightsError, match=r"a\.pth is no file of weights"):
+    with pytest.raises(WeightsError, match=r"a\.pth is (no file of weights|empty|cut short)"):
         load(tmp_path / "a.pth")
 
 
