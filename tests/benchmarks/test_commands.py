@@ -19,7 +19,7 @@ PAGES = [
 ]
 RUN = sorted(
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    for path in (ROOT / "benchmarks").glob("*/*.py")
+    for path in (ROOT / "benchmarks").rglob("*.py")
     if "__main__" in path.read_text(encoding="utf-8")
 )
 
