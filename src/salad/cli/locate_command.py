@@ -360,4 +360,9 @@ def write_track(track: Path, answers: Sequence[Answer]) -> None:
     undated = sum(time is None for answer, time in zip(answers, times, strict=True) if answer.place)
     if undated:
         terminal.say(f"{track}: {undated} photos do not know their time, so the track is in the order given")
+    local = sum(time is not None and time.tzinfo is None for time in times)
+    if local:
+        terminal.say(
+            f"{track}: {local} photos do not know the time zone of their clock, so the track does not tell their time"
+        )
     write_whole(track, maps.as_gpx(answers, times).encode())

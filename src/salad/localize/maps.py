@@ -44,27 +44,31 @@ def as_geojson(answers: Sequence[Answer]) -> str:
 
 
 def as_kml(answers: Sequence[Answer]) -> str:
-    """The same for globes: a folder a query."""
+    """The same for globes and maps: a folder each for places, radii and matches, which are layers to a GIS."""
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
+    places, radii, matches = (ElementTree.SubElement(document, "Folder") for _ in range(3))
+    for folder, name in ((places, "places"), (radii, "radii"), (matches, "matches")):
+        _put(folder, "name", name)
     for answer in answers:
-        folder = ElementTree.SubElement(document, "Folder")
-        _put(folder, "name", answer.query.name)
-        _put(folder, "description", str(answer.query))
-        place = answer.place
+        name, place = answer.query.name, answer.place
         if place is None:
-            _put(ElementTree.SubElement(folder, "Placemark"), "name", "unknown")
+            _named(places, name, f"unknown; {answer.query}")
             continue
         known = f"confidence {place.confidence:.2f}, within {place.radius_m:.0f} m, {place.support} matches"
-        _put(_placemark(folder, answer.query.name, known, "Point"), "coordinates", _kml(place.where))
-        circle = _placemark(folder, "radius", f"{place.radius_m:.1f} m", "Polygon")
+        point = ElementTree.SubElement(_named(places, name, f"{known}; {answer.query}"), "Point")
+        _put(point, "coordinates", _kml(place.where, place.where))
+        circle = ElementTree.SubElement(_named(radii, name, f"{place.radius_m:.1f} m"), "Polygon")
         outer = ElementTree.SubElement(ElementTree.SubElement(circle, "outerBoundaryIs"), "LinearRing")
-        _put(outer, "coordinates", *map(_kml, _ring(place)))
+        _put(outer, "coordinates", *(_kml(corner, place.where) for corner in _ring(place)))
         for match in answer.matches:
             if match.photo.where is not None:
-                score = f"score {match.score:.4f}"
-                line = _placemark(folder, match.photo.path.name, score, "LineString")
-                _put(line, "coordinates", _kml(place.where), _kml(match.photo.where))
+                told = f"{match.photo.path.name}, score {match.score:.4f}"
+                line = ElementTree.SubElement(_named(matches, name, told), "LineString")
+                _put(line, "coordinates", _kml(place.where, place.where), _kml(match.photo.where, place.where))
+    for folder in (places, radii, matches):
+        if folder.find("Placemark") is None:  # a layer of nothing
+            document.remove(folder)
     return _as_text(root)
 
 
@@ -74,7 +78,7 @@ def as_gpx(answers: Sequence[Answer], times: Sequence[datetime | None]) -> str:
     Args:
         answers: In the order given.
         times: Of each query. Where all that are placed have one the track is in the order of time, else in the
-            order given. A time without a zone is written without one, and compared as if it were UTC.
+            order given. A time without a zone is compared as if it were UTC, and not written: GPX has only UTC.
     """
     stops = [
         (answer.query.name, answer.place, time) for answer, time in zip(answers, times, strict=True) if answer.place
@@ -89,10 +93,8 @@ def as_gpx(answers: Sequence[Answer], times: Sequence[datetime | None]) -> str:
         lon = round(place.where.lon, 9)
         lon = -180.0 if lon == 180 else lon  # GPX ends just below 180
         point = ElementTree.SubElement(track, "trkpt", lat=f"{place.where.lat:.9f}", lon=f"{lon:.9f}")
-        if time is not None:
-            # Whoever knows the zone gets UTC with a Z, which all readers take; who does not must not be told one.
-            zoned = time.tzinfo is not None
-            _put(point, "time", _utc(time).isoformat()[:-6] + "Z" if zoned else time.isoformat())
+        if time is not None and time.tzinfo is not None:
+            _put(point, "time", _utc(time).isoformat()[:-6] + "Z")
         _put(point, "name", name)
     return _as_text(root)
 
@@ -117,16 +119,17 @@ def _ring(place: Place) -> list[GeoPoint]:
     return [*ring, ring[0]]
 
 
-def _placemark(folder: ElementTree.Element, name: str, description: str, kind: str) -> ElementTree.Element:
-    """A named place in a folder; its geometry, which is of that kind, is for the caller to fill."""
+def _named(folder: ElementTree.Element, name: str, description: str) -> ElementTree.Element:
+    """A named place in a folder; its geometry is for the caller to add."""
     mark = ElementTree.SubElement(folder, "Placemark")
     _put(mark, "name", name)
     _put(mark, "description", description)
-    return ElementTree.SubElement(mark, kind)
+    return mark
 
 
-def _kml(point: GeoPoint) -> str:
-    return f"{point.lon:.9f},{point.lat:.9f}"  # 0.1 mm
+def _kml(point: GeoPoint, near: GeoPoint) -> str:
+    lon, lat = _lon_lat(point, near)
+    return f"{lon:.9f},{lat:.9f}"  # 0.1 mm
 
 
 def _utc(time: datetime) -> datetime:
