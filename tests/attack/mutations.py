@@ -287,7 +287,8 @@ READERS: dict[str, Reader] = {
         a_photo,
     ),
     "EXIF": Reader(("photos/exif.jpg", "photos/exif.png", "photos/exif.webp"), a_photo),
-    "a table": Reader(("tables/t.csv", "tables/t.parquet"), a_table),
+    "a table": Reader(("tables/t.csv",), a_table),
+    "a table of Parquet": Reader(("tables/t.parquet",), a_table, share=0.1),  # a process looks at each beforehand
     "an export": Reader(("export/descriptors.npy", "export/photos.csv", "export/model.json"), an_export, share=0.3),
     "GeoJSON": Reader(("export-geojson/photos.geojson",), an_export, share=0.3),
     "a result": Reader(("results/r.json",), a_result),
