@@ -14,7 +14,7 @@ from salad.images.at_names import parse_at_name
 from salad.images.decode import existing, in_memory, naming, on_disk, open_image
 from salad.images.embedded import embedded
 from salad.images.exif import changed, from_exif
-from salad.images.metadata import NOTHING_SAID, SOURCES, Position, settled
+from salad.images.metadata import NOTHING_SAID, Position, settled
 from salad.images.sidecars import read_sidecars
 from salad.images.xmp import parse_xmp
 
@@ -104,7 +104,7 @@ def placed(photo: Photo, table: PhotoTable | None) -> Photo:
     listed = table.get(photo.path) if table else None
     if listed is None:
         return photo
-    own = Position(photo.where, photo.heading, photo.time, photo.source or SOURCES[-1], photo.remark)
+    own = Position(photo.where, photo.heading, photo.time, photo.source, photo.remark)
     known = settled([replace(listed, source="table"), own])
     return Photo.of(photo.path, known)
 
