@@ -214,6 +214,12 @@ def a_photo(_: Path, path: Path) -> None:
     read_photo(path)
 
 
+def beside(folder: Path, _: Path) -> None:
+    from salad.images.photo import sayings
+
+    sayings(folder / "a.jpg")
+
+
 def a_table(_: Path, path: Path) -> None:
     from salad.images.photo_table import PhotoTable
 
@@ -287,6 +293,8 @@ READERS: dict[str, Reader] = {
         a_photo,
     ),
     "EXIF": Reader(("photos/exif.jpg", "photos/exif.png", "photos/exif.webp"), a_photo),
+    "a RAW photo": Reader(("raw/a.dng",), a_photo, share=0.3),
+    "what lies beside a photo": Reader(("beside/a.jpg.xmp", "beside/a.xmp", "beside/a.jpg.json"), beside),
     "a table": Reader(("tables/t.csv",), a_table),
     "a table of Parquet": Reader(("tables/t.parquet",), a_table, share=0.1),  # a process looks at each beforehand
     "an export": Reader(("export/descriptors.npy", "export/photos.csv", "export/model.json"), an_export, share=0.3),
@@ -335,6 +343,7 @@ def prepare(folder: Path) -> None:
         db.execute("ROLLBACK")
     (sound / "index" / "photos.sqlite-journal").write_bytes(journal)
     _photos(sound / "photos")
+    _beside(sound / "beside")
     _arrays(sound / "arrays")
     _rest(sound)
 
@@ -355,6 +364,8 @@ def _photos(folder: Path) -> None:
 
     from PIL import Image, features
 
+    from images.test_raw import picture as jpeg
+    from images.test_raw import raw
     from salad.geo import GeoPoint
     from salad.images.exif import to_exif
     from salad.images.metadata import Position
@@ -369,6 +380,27 @@ def _photos(folder: Path) -> None:
     exif = to_exif(Position(GeoPoint(48.1, 11.5), 30.0, datetime(2024, 5, 1, 12)))
     for end in ("jpg", "png", "webp"):
         picture.save(folder / f"exif.{end}", exif=exif)
+    (folder.parent / "raw").mkdir()
+    (folder.parent / "raw" / "a.dng").write_bytes(raw(jpeg(1200, 900), jpeg(160, 120)))
+
+
+def _beside(folder: Path) -> None:
+    folder.mkdir()
+    (folder / "a.jpg.json").write_text(json.dumps({
+        "title": "a.jpg", "photoTakenTime": {"timestamp": "1714564800"},
+        "geoData": {"latitude": 48.1, "longitude": 11.5}, "geoDataExif": {"latitude": 0.0, "longitude": 0.0},
+    }))  # fmt: skip
+    for name, place in (
+        ("a.jpg.xmp", ' exif:GPSLatitude="48,6.0N" exif:GPSLongitude="11,30.0E" exif:GPSImgDirection="2758/10"'),
+        ("a.xmp", ' drone-dji:GpsLatitude="+48.1" drone-dji:GpsLongitude="+11.5" drone-dji:GimbalYawDegree="-84.2"'),
+    ):
+        (folder / name).write_text(
+            '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+            '<rdf:Description xmlns:exif="http://ns.adobe.com/exif/1.0/" '
+            f'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"{place}>'
+            "<exif:DateTimeOriginal>2024-05-01T12:00:00+02:00</exif:DateTimeOriginal>"
+            "</rdf:Description></rdf:RDF></x:xmpmeta>"
+        )
 
 
 def _arrays(folder: Path) -> None:
