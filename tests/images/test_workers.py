@@ -368,7 +368,7 @@ def test_one_trip_brings_all_of_a_photo_from_the_same_bytes(tmp_path: Path, monk
     assert found[:2] == due[:2]
     assert np.array_equal(found.pixels, due.pixels)
     assert opened.count(path) == 1  # what may stand beside it is looked for too
-    assert read(path) == (*due[:2], None, "")
+    assert read(path) == PhotoRead(*due[:2])
     assert opened.count(path) == 2
 
 

@@ -70,7 +70,7 @@ def test_a_full_disk_loses_no_checkpoint(teach: Teach, tmp_path: Path, monkeypat
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not really", b"x" * 1000])
 def test_a_checkpoint_that_is_damaged_is_a_sentence(teach: Teach, tmp_path: Path, content: bytes) -> None:
     (tmp_path / "last.ckpt").write_bytes(content)
-    with pytest.raises(TrainingError, match=r"last\.ckpt is damaged .* remove the file to begin anew"):
+    with pytest.raises(TrainingError, match=r"last\.ckpt is damaged: .*remove the file to begin anew"):
         teach(tmp_path)
     assert (tmp_path / "last.ckpt").read_bytes() == content
 
