@@ -65,6 +65,7 @@ def test_a_table_comes_back_as_csv(rows: list[tuple[str, float | None]]) -> None
     assert read == [(name, "" if lat is None else str(lat)) for name, lat in rows]
 
 
+@settings(max_examples=20, deadline=None)  # a process looks at each first
 @given(PATHS)
 def test_a_table_comes_back_as_parquet(rows: list[tuple[str, float | None]]) -> None:
     pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
@@ -222,7 +223,7 @@ def test_only_the_columns_that_are_wanted_are_read(tmp_path: Path, arrow: Any) -
     assert rows == [(1, {"path": "a", "lat": 1.5}), (2, {"path": "b", "lat": None})]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(where=st.integers(0, 2000), byte=st.integers(0, 255), cut=st.none() | st.integers(0, 2000))
 def test_changed_parquet_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, where: int, byte: int, cut: int | None

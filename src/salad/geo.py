@@ -68,6 +68,11 @@ def null_island(where: GeoPoint | None) -> bool:
     return where is not None and where.lat == 0 and where.lon == 0
 
 
+def compass(degrees: float) -> float:
+    """A direction in degrees clockwise from north, 0 to below 360; what is a hair west of north is north."""
+    return degrees % 360 % 360  # by rounding, -1e-17 % 360 is 360
+
+
 def in_degrees(points: Iterable[GeoPoint | None]) -> NDArray[np.float64]:
     """Latitudes and longitudes, `[N, 2]` degrees; NaN where a point is not known."""
     import numpy as np

@@ -17,7 +17,7 @@ ALL = [
     for some in (hostile_indexes, hostile_models, hostile_photos, hostile_results, hostile_tables)
     for attack in some.ALL
 ]
-OF_A_FAMILY = 3
+OF_A_FAMILY = 4
 """Neighbours in the list are of one family: of so many the suite takes one, besides all that several commands get."""
 IN_SUITE = [
     (number, attack)

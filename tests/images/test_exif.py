@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
@@ -242,6 +242,7 @@ def test_fractions_and_offsets_belong_to_their_time() -> None:
         | st.lists(st.one_of(st.floats(), st.text(max_size=2), st.just(IFDRational(0, 0))), max_size=4).map(tuple),
     )
 )
+@example({17: -1e-300})
 def test_no_tag_crashes(gps: dict[int, Any]) -> None:
     told = from_exif(Given(gps))
     assert told.heading is None or 0 <= told.heading < 360

@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import NamedTuple
 
 from salad.errors import PositionError
-from salad.geo import GeoPoint, Utm, from_utm, to_utm, zone_number
+from salad.geo import GeoPoint, Utm, compass, from_utm, to_utm, zone_number
 from salad.images.metadata import Position
 
 # With the comma of some countries' programs, and the exponent that programs write for large numbers.
@@ -113,7 +113,7 @@ def parse_at_name(name: str) -> Position | None:
     remark = ""
     if where is None:
         remark = "its name gives metres that are off the UTM grid" if zone else "its name gives metres, but no UTM zone"
-    heading = None if math.isnan(fields.heading) else fields.heading % 360
+    heading = None if math.isnan(fields.heading) else compass(fields.heading)
     return Position(where, heading, _parse_stamp(fields.timestamp), "name", remark)
 
 

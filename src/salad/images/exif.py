@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from salad.errors import PhotoError, reason
 from salad.files import write_whole
-from salad.geo import GeoPoint
+from salad.geo import GeoPoint, compass
 from salad.images.decode import quiet_pillow
 from salad.images.metadata import Position
 from salad.images.rgb import to_rgb
@@ -52,7 +52,7 @@ def from_exif(exif: Image.Exif) -> Position:
     heading = None
     turned = _numbers(gps.get(GPS.GPSImgDirection))[:1]
     if turned and abs(turned[0]) <= _WILD:  # not NaN
-        heading = turned[0] % 360
+        heading = compass(turned[0])
     elif turned and not math.isnan(turned[0]):
         remark = "; ".join(filter(None, (remark, f"the direction in its EXIF is not understood ({turned[0]:g})")))
     times = (_time(shot, *tags) for tags in _TIMES)

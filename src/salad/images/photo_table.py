@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from salad.errors import PositionError, reason
-from salad.geo import null_island
+from salad.geo import compass, null_island
 from salad.images import as_written
 from salad.images.metadata import Position
 from salad.tables import CsvError, read_csv, read_parquet, shown
@@ -51,7 +51,7 @@ class Row:
         refs = {name: known[name] or "" for name in ("lat_ref", "lon_ref")}
         where = as_written.position(known["lat"], known["lon"], **refs)
         heading = as_written.degrees(known["heading"], "heading")
-        turned = None if heading is None else heading % 360
+        turned = None if heading is None else compass(heading)
         return cls(line, path, Position(where, turned, as_written.time(known["time"]), "table"))
 
 

@@ -13,7 +13,7 @@ from typing import NoReturn
 from xml.parsers import expat  # nosec B405  # with document types refused, see below
 
 from salad.errors import PositionError
-from salad.geo import GeoPoint, null_island
+from salad.geo import GeoPoint, compass, null_island
 from salad.images.metadata import Position
 from salad.images.times import parse_time
 from salad.tables import shown
@@ -97,7 +97,7 @@ def parse_xmp(packet: bytes, *, source: str = "xmp", told: str = "the XMP in it"
             held_as = f"{shown(lat, most=20)}, {shown(lon, most=20)}"
             remark = remark or f"the position in {told} is not understood ({held_as})"
     headings = (_real(held.get(name, "")) for name in _HEADINGS)
-    heading = next((turned % 360 for turned in headings if math.isfinite(turned)), None)
+    heading = next((compass(turned) for turned in headings if math.isfinite(turned)), None)
     times = (parse_time(held.get(name, "")) for name in _TIMES)
     return Position(where, heading, next((time for time in times if time), None), source, "" if where else remark)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from salad.errors import PositionError, StoreError, reason
+from salad.geo import compass
 from salad.images import as_written
 from salad.images.metadata import SOURCES
 from salad.images.photo import Photo
@@ -115,7 +116,7 @@ def _photo(record: Record, folder: Path) -> tuple[Photo, str | None]:
         raise ValueError(f"{shown(path)} is no file's name")
     where = as_written.position(record.get("lat"), record.get("lon"))
     heading = as_written.degrees(record.get("heading"), "heading")
-    turned = heading if heading is None or 0 <= heading <= 360 else heading % 360
+    turned = heading if heading is None or 0 <= heading <= 360 else compass(heading)
     said_by = record.get("source") if where is not None else None
     source = said_by if said_by in SOURCES else None  # of a later salad, or another tool's column of that name
     photo = Photo(folder / path, where, turned, as_written.time(record.get("time")), source)
