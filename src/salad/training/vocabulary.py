@@ -19,7 +19,7 @@ from torch.nn import functional as F
 
 from salad.errors import ModelError, PhotoError, needs_extra
 from salad.models.describer import Describer, PhotoLike
-from salad.network.aggregators.base import Fitted
+from salad.network.aggregators.base import is_fitted_to_photos
 from salad.network.baseline_config import VladConfig
 from salad.network.network import Network, build
 
@@ -31,7 +31,7 @@ Progress = Callable[[int, int | None], None]
 def needs_fitting(model: nn.Module) -> bool:
     """Whether a model, or an aggregator, is to be fitted to photos and was not yet."""
     part = getattr(model, "aggregator", model)
-    return isinstance(part, Fitted) and not bool(part.fitted)
+    return is_fitted_to_photos(part) and not bool(part.fitted)
 
 
 def fit(
@@ -59,7 +59,7 @@ def fit(
         MissingExtraError: If the `train` extra is not installed.
     """
     aggregator = model.aggregator
-    if not isinstance(aggregator, Fitted):
+    if not is_fitted_to_photos(aggregator):
         return
     clusters = aggregator.config.clusters
     with needs_extra("fitting an aggregator to photos", "train"):  # before the work, which would be lost without it
