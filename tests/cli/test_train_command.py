@@ -133,6 +133,7 @@ def test_a_run_begun_with_kornias_changes_goes_on_with_them(cli: Any, tmp_path: 
     assert "kornia's RandAugment, as the run was begun" in told.err
 
 
+@pytest.mark.torch
 def test_a_dry_run_tells_and_writes_nothing(
     cli: Cli, tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
