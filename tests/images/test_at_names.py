@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import string
-from datetime import datetime, timedelta, timezone
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -14,13 +14,9 @@ from salad.errors import PositionError
 from salad.geo import GeoPoint, Utm, from_utm, metres_between, shifted, to_utm
 from salad.images.at_names import at_name, parse_at_name
 from salad.images.metadata import Position
+from tests.images.drawn import headings, times
 
 points = st.builds(GeoPoint, st.floats(-79.9, 83.9), st.floats(-180, 180))
-zones = st.integers(-14 * 4, 14 * 4).map(lambda quarters: timezone(timedelta(minutes=15 * quarters)))
-times = st.datetimes(datetime(1900, 1, 1), datetime(2100, 1, 1), timezones=st.one_of(st.none(), zones)).map(
-    lambda t: t.replace(microsecond=0)
-)
-headings = st.floats(0, 360, exclude_max=True)
 plain = st.text(string.ascii_letters + string.digits + " -_.ßжあ", max_size=12)
 HERE = from_utm(Utm(545350.23, 4174054.95, 10, "S"))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import string
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -17,19 +16,11 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from salad.errors import PhotoError
-from salad.geo import GeoPoint, Utm, from_utm, metres_between
+from salad.geo import GeoPoint, metres_between
 from salad.images.decode import open_rgb
 from salad.images.exif import changed, from_exif, save_jpeg, to_exif
 from salad.images.metadata import Position
-
-points = st.builds(GeoPoint, st.floats(-79.9, 83.9), st.floats(-180, 180))
-zones = st.integers(-14 * 4, 14 * 4).map(lambda quarters: timezone(timedelta(minutes=15 * quarters)))
-times = st.datetimes(datetime(1900, 1, 1), datetime(2100, 1, 1), timezones=st.one_of(st.none(), zones)).map(
-    lambda t: t.replace(microsecond=0)
-)
-headings = st.floats(0, 360, exclude_max=True)
-plain = st.text(string.ascii_letters + string.digits + " -_.ßжあ", max_size=12)
-HERE = from_utm(Utm(545350.23, 4174054.95, 10, "S"))
+from tests.images.drawn import headings, times
 
 
 def exif_of(gps: dict[int, Any] | None = None, shot: dict[int, Any] | None = None) -> Image.Exif:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import io
 import json
 import shutil
-import string
 import struct
 import subprocess
-from datetime import datetime, timedelta, timezone
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,21 +18,11 @@ from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
 
 from salad.errors import PhotoError
-from salad.geo import GeoPoint, Utm, from_utm, metres_between
+from salad.geo import GeoPoint, metres_between
 from salad.images.exif import save_jpeg
 from salad.images.exif_copy import copy_with_position, with_position
 from salad.images.photo import read_photo
 from salad.images.xmp import without_place
-
-points = st.builds(GeoPoint, st.floats(-79.9, 83.9), st.floats(-180, 180))
-zones = st.integers(-14 * 4, 14 * 4).map(lambda quarters: timezone(timedelta(minutes=15 * quarters)))
-times = st.datetimes(datetime(1900, 1, 1), datetime(2100, 1, 1), timezones=st.one_of(st.none(), zones)).map(
-    lambda t: t.replace(microsecond=0)
-)
-headings = st.floats(0, 360, exclude_max=True)
-plain = st.text(string.ascii_letters + string.digits + " -_.ßжあ", max_size=12)
-HERE = from_utm(Utm(545350.23, 4174054.95, 10, "S"))
-
 
 anywhere = st.builds(GeoPoint, st.floats(-90, 90), st.floats(-180, 180))
 SYDNEY = GeoPoint(-33.857, 151.215)
