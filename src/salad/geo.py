@@ -73,6 +73,11 @@ def compass(degrees: float) -> float:
     return degrees % 360 % 360  # by rounding, -1e-17 % 360 is 360
 
 
+def around(lon: float) -> float:
+    """A longitude that may have gone on across the date line, -180 to 180; one in there comes back as it is."""
+    return lon if -180 <= lon <= 180 else (lon + 180) % 360 - 180  # the remainder would cost its last digits
+
+
 def in_degrees(points: Iterable[GeoPoint | None]) -> NDArray[np.float64]:
     """Latitudes and longitudes, `[N, 2]` degrees; NaN where a point is not known."""
     import numpy as np
@@ -176,9 +181,7 @@ def shifted(point: GeoPoint, north_m: float, east_m: float) -> GeoPoint:
     ahead = math.cos(lat) * math.cos(arc) - math.sin(lat) * math.sin(arc) * math.cos(bearing)
     aside = math.sin(arc) * math.sin(bearing)
     turned = math.degrees(lon + math.atan2(aside, ahead))
-    # Across the date line; elsewhere as it is, for the remainder would cost its last digits.
-    turned = turned if -180 <= turned <= 180 else (turned + 180) % 360 - 180
-    return GeoPoint(math.degrees(math.atan2(up, math.hypot(ahead, aside))), turned)
+    return GeoPoint(math.degrees(math.atan2(up, math.hypot(ahead, aside))), around(turned))
 
 
 def centre(points: Sequence[GeoPoint], weights: Sequence[float] | None = None) -> GeoPoint:

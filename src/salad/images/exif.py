@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from salad.errors import PhotoError, reason
 from salad.files import write_whole
-from salad.geo import GeoPoint, compass
+from salad.geo import GeoPoint, around, compass
 from salad.images.decode import quiet_pillow
 from salad.images.metadata import Position
 from salad.images.rgb import to_rgb
@@ -94,7 +94,7 @@ def _where(gps: dict[int, Any]) -> tuple[GeoPoint | None, str]:
         if not abs(degrees[-1]) <= (90 if signs == "NS" else 360):  # NaN too
             return None, f"the {name} in its EXIF is not understood ({_told(value)} {letter})"
     lat, lon = degrees
-    return GeoPoint(lat, lon if abs(lon) <= 180 else (lon + 180) % 360 - 180), ""
+    return GeoPoint(lat, around(lon)), ""
 
 
 def _angle(numbers: list[float], other_half: bool) -> float:

@@ -13,7 +13,7 @@ from typing import NoReturn
 from xml.parsers import expat  # nosec B405  # with document types refused, see below
 
 from salad.errors import PositionError
-from salad.geo import GeoPoint, compass, null_island
+from salad.geo import GeoPoint, around, compass, null_island
 from salad.images.metadata import Position
 from salad.images.times import parse_time
 from salad.tables import shown
@@ -147,7 +147,7 @@ def _point(lat: str, lon: str) -> GeoPoint | None:
     if not abs(east) <= 360:  # NaN too
         return None
     with suppress(PositionError):
-        return GeoPoint(north, east if abs(east) <= 180 else (east + 180) % 360 - 180)
+        return GeoPoint(north, around(east))
     return None
 
 
